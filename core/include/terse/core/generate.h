@@ -1,0 +1,41 @@
+#pragma once
+// Seeded synthetic data sets with exact ground truth, streamed: memory does not hold the graph.
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+
+#include "terse/core/pose_graph.h"
+
+namespace terse {
+
+// kEllipse: 170 poses over 72.29 m on two concentric 3D ellipses, semi-axes 10/6 m and 20/6 m (S, section 6).
+// kEllipseN: N laps of the 20/6 ellipse. kSphere, kTorus, kManhattan (2D), kGarage: as the public sets of that name.
+enum class Scene { kEllipse, kEllipseN, kSphere, kTorus, kManhattan, kGarage };
+// std::nullopt if unknown. Names as on the command line: ellipse, ellipse-n, sphere, torus, manhattan, garage.
+std::optional<Scene> SceneFromName(const std::string& name);
+
+struct GenerateOptions {
+  Scene scene = Scene::kEllipse;
+  long poses = 0;  // 0: the scene's own default
+  int laps = 10;   // kEllipseN
+  std::uint64_t seed = 1;
+};
+
+// Receives the data in online order: pose k, then all its edges to earlier poses (odometry first).
+template <class Pose>
+struct GenerateSink {
+  std::function<void(PoseId id, const Pose& T_world_body_true)> pose;
+  std::function<void(const RelativePoseFactor<Pose>& edge)> edge;
+};
+
+// True for the scenes that are planar.
+bool IsPlanar(Scene scene);
+
+// Same options, same data, on every machine. Throws std::invalid_argument for a scene of the other dimension or
+// fewer than two poses.
+template <class Pose>
+void Generate(const GenerateOptions& options, const GenerateSink<Pose>& sink);
+
+}  // namespace terse

@@ -1,0 +1,47 @@
+#pragma once
+// Graph files: g2o (2D and 3D), TORO and iSAM text. The format is detected from the content.
+//
+// Strict: anything wrong is a FileError with path, line and cause, and nothing is returned. Numbers are read and
+// written independently of the locale; what is written reads back equal to the last bit the format allows.
+
+#include <map>
+#include <string>
+#include <variant>
+
+#include "terse/core/error.h"
+#include "terse/core/pose_graph.h"
+#include "terse/core/rotation_information.h"
+
+namespace terse {
+
+enum class GraphFormat { kG2o, kToro, kIsam };
+const char* Name(GraphFormat format);
+
+using AnyPoseGraph = std::variant<PoseGraph<SE2>, PoseGraph<SE3>>;
+
+struct ReadOptions {
+  // What EDGE_SE3:QUAT information means. TORO and iSAM files are in radians always.
+  RotationInformation rotation_information = RotationInformation::kQuaternion;
+  // Clamps the eigenvalues of an information matrix that is not positive definite instead of refusing it.
+  bool repair_information = false;
+};
+
+struct GraphFile {
+  AnyPoseGraph graph;
+  GraphFormat format = GraphFormat::kG2o;
+  std::map<std::string, long> skipped_tags;  // tag -> lines skipped: parameters and tags not known here
+  long repaired_informations = 0;
+};
+
+// Poses appear in the order of their VERTEX lines, then of their first mention in an edge.
+GraphFile ReadGraph(const std::string& path, const ReadOptions& options = {});
+
+// Written to a temporary file in the same folder, then renamed. Throws FileError.
+template <class Pose>
+void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path,
+              RotationInformation rotation_information = RotationInformation::kQuaternion);
+// TORO has no priors and no FIX: FileError if the graph holds any.
+template <class Pose>
+void WriteToro(const PoseGraph<Pose>& graph, const std::string& path);
+
+}  // namespace terse

@@ -1,0 +1,63 @@
+#pragma once
+// SE(2): rigid motions in the plane, stored as [x y theta], theta in (-pi, pi] radians.
+//
+// Exp, Log, adjoint and Jacobians are those of the group, tangent [rho_x rho_y phi].
+// The optimiser uses the chart of the 2D papers and files instead: Retract(d) = T * SE2(d[0], d[1], d[2]) and
+// Local = the [x y theta] of T^-1 * other. Both charts have the same first derivative at zero, so the
+// covariances are the same; the second makes a Gauss-Newton step equal to one in global x, y, theta.
+
+#include "terse/lie/types.h"
+
+namespace terse {
+
+// The angle in (-pi, pi]; angles already there are returned unchanged.
+double WrapAngle(double radians);
+
+class SE2 {
+ public:
+  static constexpr int kDim = 2;  // of a position
+  static constexpr int kDof = 3;
+  using Position = Vector<2>;
+  using Tangent = Vector<3>;
+  using Jacobian = Matrix<3, 3>;
+
+  SE2() = default;
+  SE2(double x, double y, double theta) : translation_(x, y), theta_(WrapAngle(theta)) {}
+  SE2(const Position& translation, double theta) : SE2(translation.x(), translation.y(), theta) {}
+
+  static SE2 Exp(const Tangent& d);
+  Tangent Log() const;
+
+  SE2 operator*(const SE2& other) const {
+    return SE2(translation_ + Rotation() * other.translation_, theta_ + other.theta_);
+  }
+  Position operator*(const Position& p) const { return Rotation() * p + translation_; }
+  SE2 Inverse() const { return SE2(-(Rotation().transpose() * translation_), -theta_); }
+  Jacobian Adjoint() const;
+
+  static Jacobian LeftJacobian(const Tangent& d);
+  static Jacobian LeftJacobianInverse(const Tangent& d);
+  static Jacobian RightJacobian(const Tangent& d) { return LeftJacobian(-d); }
+  static Jacobian RightJacobianInverse(const Tangent& d) { return LeftJacobianInverse(-d); }
+
+  SE2 Retract(const Tangent& d) const { return *this * SE2(d[0], d[1], d[2]); }
+  Tangent Local(const SE2& other) const {
+    const SE2 error = Inverse() * other;
+    return Tangent(error.translation_.x(), error.translation_.y(), error.theta_);
+  }
+  // d [x y theta](E) / d e for E <- E * SE2(e), at [x y theta](E) = r.
+  static Jacobian LocalJacobian(const Tangent& r);
+
+  Matrix<2, 2> Rotation() const;
+  const Position& Translation() const { return translation_; }
+  double Theta() const { return theta_; }
+  // |theta|, in [0, pi] radians.
+  double Angle() const { return theta_ < 0 ? -theta_ : theta_; }
+  void Normalize() { theta_ = WrapAngle(theta_); }
+
+ private:
+  Position translation_ = Position::Zero();
+  double theta_ = 0;
+};
+
+}  // namespace terse
