@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <sstream>
 #include <stdexcept>
 
 #include "stopwatch.h"
@@ -178,6 +180,7 @@ class Run {
       }
       TakeStep();
     }
+    if (best_) Accept(std::move(*best_));
     // The factor that is handed out is the undamped one at the final values.
     if (!factored_here_) factored_here_ = RefactorAt(0);
     result_.gradient_norm = LargestEntry(result_.factor.Gradient());
@@ -217,36 +220,70 @@ class Run {
     }
     double predicted = result_.factor.NewtonDecrement();
     for (size_t i = 0; i < damping_.size(); ++i) predicted += damping_[i] * d[i] * d[i];
-    double chi2 = 0;
-    std::vector<Pose> trial = Step(result_.T_world_body, d);
-    const double cost = problem_.Cost(trial, chi2);
-    const double decrease = cost_ - cost;
+    State trial{Step(result_.T_world_body, d)};
+    trial.cost = problem_.Cost(trial.values, trial.chi2);
+    const double decrease = cost_ - trial.cost;
     // chi2 has no unit: below the constant it is rounding.
     const double tolerance = options_.relative_tolerance * cost_ + 1e-16;
-    const bool lower = std::isfinite(cost) && decrease >= 0;
-    if (!lower && predicted > tolerance)
-      return Reject("chi2 rose from " + std::to_string(cost_) + " to " + std::to_string(cost));
-    if (lower) {
-      result_.T_world_body = std::move(trial);
-      result_.chi2 = chi2;
-      cost_ = cost;
-      factored_here_ = linearised_here_ = false;
+    const bool small = predicted <= tolerance;
+    if (std::isfinite(trial.cost) && decrease >= 0) {
+      Accept(std::move(trial));
       damping_control_.Accept(predicted > 0 ? decrease / predicted : 1);
+      if (best_ && cost_ < best_->cost) {
+        best_.reset();
+        climbing_ = 0;
+      }
+    } else if (!small && MayClimb(trial.cost, lambda)) {
+      if (!best_) best_ = State{result_.T_world_body, result_.chi2, cost_};
+      Accept(std::move(trial));
+    } else if (!small) {
+      return Reject("chi2 rose from " + std::to_string(cost_) + " to " + std::to_string(trial.cost));
     }
+    if (best_ && ++climbing_ > kClimb) Retreat();
     if (options_.progress && !options_.progress(result_.iterations, result_.chi2)) {
       return Finish(Termination::kStopped, "stopped by the caller");
     }
-    if (predicted <= tolerance || (decrease <= tolerance && lambda == 0)) {
-      Finish(Termination::kConverged,
-             "chi2 changes by less than " + std::to_string(options_.relative_tolerance) + " of itself");
+    if (!best_ && (small || (decrease >= 0 && decrease <= tolerance && lambda == 0))) {
+      std::ostringstream message;
+      message << "chi2 changes by less than " << options_.relative_tolerance << " of itself";
+      Finish(Termination::kConverged, message.str());
     }
   }
 
+  struct State {
+    std::vector<Pose> values;
+    double chi2 = 0, cost = 0;
+  };
+
+  void Accept(State state) {
+    result_.T_world_body = std::move(state.values);
+    result_.chi2 = state.chi2;
+    cost_ = state.cost;
+    factored_here_ = linearised_here_ = false;
+  }
+
+  // Stiff odometry makes curved valleys, which a solver that only descends crawls along. Full steps may therefore
+  // climb for a few iterations; if they do not come out below where they set off, damping takes over from there.
+  bool MayClimb(double cost, double lambda) const {
+    if (options_.method == Method::kGaussNewton || lambda > 0 || !std::isfinite(cost)) return false;
+    return cost < 100 * (best_ ? best_->cost : cost_);
+  }
+
+  void Retreat() {
+    Accept(std::move(*best_));
+    best_.reset();
+    climbing_ = 0;
+    damping_control_.Reject();
+  }
+
   void Reject(const std::string& why) {
+    if (best_) return Retreat();
     if (options_.method == Method::kGaussNewton) return Finish(Termination::kDiverged, why);
     damping_control_.Reject();
     if (damping_control_.lambda() > 1e16) Finish(Termination::kDiverged, why + ", and no damping helps");
   }
+
+  static constexpr int kClimb = 4;
 
   const PoseGraph<Pose>& graph_;
   const Problem<Pose> problem_;
@@ -255,6 +292,8 @@ class Run {
   Damping damping_control_;
   std::vector<double> damping_;
   double cost_ = 0;
+  std::optional<State> best_;  // where full steps began to climb
+  int climbing_ = 0;
   bool done_ = false;
   bool linearised_here_ = true;  // the factor's linear factors are those of the current values
   bool factored_here_ = true;    // and it is factored without damping
