@@ -35,11 +35,11 @@ SE3 PoseFields<SE3>(const Fields& fields, int first) {
 
 constexpr int PoseFieldCount(int dimension) { return dimension == 2 ? 3 : 7; }
 
-Matrix<3, 3> PoseInformation(const Fields& fields, int first, RotationInformation, const SE2*) {
-  return SymmetricFields<3>(fields, first);
-}
-Matrix<6, 6> PoseInformation(const Fields& fields, int first, RotationInformation meaning, const SE3*) {
-  return InformationFromFile(SymmetricFields<6>(fields, first), meaning);
+template <class Pose>
+typename Pose::Jacobian InformationFields(const Fields& fields, int first, RotationInformation meaning) {
+  const typename Pose::Jacobian information = SymmetricFields<Pose::kDof>(fields, first);
+  if constexpr (Pose::kDim == 3) return InformationFromFile(information, meaning);
+  return information;
 }
 
 // The sensor offsets that are not the identity: a prior that refers to one does not measure the body.
@@ -70,9 +70,8 @@ GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines, 
   }
   builder.AddPosesOfEdges(path, lines);
 
-  const Pose* group = nullptr;  // selects the overload
   const auto information = [&](int first) {
-    return PoseInformation(fields, first, options.rotation_information, group);
+    return InformationFields<Pose>(fields, first, options.rotation_information);
   };
   const std::set<std::int64_t> offsets = Pose::kDim == 3 ? SensorOffsets(path, lines) : std::set<std::int64_t>();
   constexpr int kPose = PoseFieldCount(Pose::kDim), kDim = Pose::kDim;
