@@ -3,10 +3,10 @@
 //
 // Nine digits: the header's inline functions may use fused multiply-add here and not in the library.
 
-#include <cstdio>
-#include <stdexcept>
 #include <terse/core/pose_graph.h>
 #include <terse/core/residual.h>
+#include <cstdio>
+#include <stdexcept>
 
 using terse::PoseId;
 using terse::SE3;
