@@ -1,23 +1,41 @@
+include(GNUInstallDirs)
+
+# An installed library finds its neighbours, and the command finds the libraries, wherever the tree is moved to.
+file(RELATIVE_PATH terse_libdir_from_bindir ${CMAKE_INSTALL_FULL_BINDIR} ${CMAKE_INSTALL_FULL_LIBDIR})
+
 # terse_library(NAME SOURCES ... LINKS ... PRIVATE_LINKS ...): one shared library per folder.
 #
 # A missing arrow between folders is a link error (--no-undefined). Each library binds its own copies of the
 # inline Eigen functions (-Bsymbolic), so that a program compiled with other -march flags cannot replace them.
+# Sanitizers need neither: their runtime is in the program, and it takes a second copy of a variable for an error.
 function(terse_library name)
   cmake_parse_arguments(ARG "" "" "SOURCES;LINKS;PRIVATE_LINKS" ${ARGN})
   add_library(${name} SHARED ${ARG_SOURCES})
   string(REPLACE "terse_" "" export_name ${name})
   add_library(terse::${export_name} ALIAS ${name})
+  # Before 1.0 every minor version may change the binary interface.
   set_target_properties(${name} PROPERTIES EXPORT_NAME ${export_name} VERSION ${PROJECT_VERSION}
-                        SOVERSION ${PROJECT_VERSION_MAJOR})
+                        SOVERSION ${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR} INSTALL_RPATH "$ORIGIN")
   target_compile_features(${name} PUBLIC cxx_std_17)
   target_include_directories(${name} PUBLIC $<BUILD_INTERFACE:${CMAKE_CURRENT_SOURCE_DIR}/include>
-                             $<INSTALL_INTERFACE:include>)
+                             $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
   target_link_libraries(${name} PUBLIC ${ARG_LINKS} PRIVATE ${ARG_PRIVATE_LINKS})
-  target_link_options(${name} PRIVATE -Wl,-Bsymbolic)
-  if(NOT CMAKE_CXX_FLAGS MATCHES "sanitize")
-    target_link_options(${name} PRIVATE -Wl,--no-undefined)
+  if(NOT CMAKE_CXX_FLAGS MATCHES "-fsanitize")
+    target_link_options(${name} PRIVATE -Wl,-Bsymbolic -Wl,--no-undefined)
   endif()
   terse_warnings(${name})
+  install(TARGETS ${name} EXPORT terseTargets LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
+  install(DIRECTORY include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
+endfunction()
+
+# terse_program(NAME SOURCES ... LINKS ...): a program that is installed. One that is not needs no function.
+function(terse_program name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;LINKS" ${ARGN})
+  add_executable(${name} ${ARG_SOURCES})
+  target_link_libraries(${name} PRIVATE ${ARG_LINKS})
+  set_target_properties(${name} PROPERTIES INSTALL_RPATH "$ORIGIN/${terse_libdir_from_bindir}")
+  terse_warnings(${name})
+  install(TARGETS ${name} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
 endfunction()
 
 function(terse_warnings name)

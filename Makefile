@@ -1,0 +1,61 @@
+# What a user and CI run; `make help` lists it. The work is done by CMake, the settings are in CMakePresets.json.
+
+PREFIX ?= /usr/local
+JOBS ?= $(shell nproc)
+
+packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libcli11-dev nlohmann-json3-dev libgtest-dev
+bench_packages = libbenchmark-dev libceres-dev
+sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
+
+.PHONY: all demo test bench install asan format format-check deps clean help
+.DEFAULT_GOAL := all
+
+all: build/build.ninja ## build the command, build/bin/terse
+	@cmake --build build -j $(JOBS) --target bin/terse
+
+demo: all ## build, then run the demonstration
+	@examples/demo.sh
+
+test: build/build.ninja ## build everything and run the tests
+	@cmake --build build -j $(JOBS)
+	@ctest --test-dir build --output-on-failure -j $(JOBS) --output-junit test-results.xml; status=$$?; \
+	  echo "Results: build/test-results.xml, output: build/Testing/Temporary/LastTest.log"; exit $$status
+
+bench: build-bench/build.ninja ## build and run the benchmarks
+	@cmake --build build-bench -j $(JOBS) --target terse_bench
+	@build-bench/bin/terse_bench $(BENCH_ARGS)
+
+install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
+	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'
+
+asan: build-asan/build.ninja ## build and test with the address and undefined-behaviour sanitizers
+	@cmake --build build-asan -j $(JOBS)
+	@ctest --preset asan-ubsan -j $(JOBS)
+
+format: ## format all sources
+	@.ci/packages clang-format
+	@clang-format -i $(sources)
+
+format-check: ## fail if a source is not formatted
+	@.ci/packages clang-format
+	@clang-format --dry-run -Werror $(sources)
+
+clean: ## remove all that was built
+	@rm -rf build build-debug build-asan build-tidy build-bench
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{printf "make %-13s %s\n", $$1, $$2}'
+
+# Configured once; afterwards Ninja sees for itself when CMake has to run again.
+build/build.ninja: CMakePresets.json | deps
+	@cmake --preset release >/dev/null && touch $@
+
+build-asan/build.ninja: CMakePresets.json | deps
+	@cmake --preset asan-ubsan >/dev/null && touch $@
+
+build-bench/build.ninja: CMakePresets.json | deps
+	@.ci/packages $(bench_packages)
+	@cmake --preset bench >/dev/null && touch $@
+
+deps:
+	@.ci/packages $(packages)

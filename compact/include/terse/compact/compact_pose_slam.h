@@ -1,0 +1,161 @@
+#pragma once
+// Compact pose SLAM: keeps the poses and links that carry information (S, section 4, Algorithm 1).
+//
+// For every new pose n:
+//  1. its odometry is concatenated over the poses dropped since the last kept one;
+//  2. kept poses within sensor range of n, given what is known of the displacement, are candidates (distance.h);
+//  3. they are ranked by the information a link would add (information.h) and registered, best first; a link whose
+//     measured gain exceeds min_loop_gain is added, and the rest is evaluated again;
+//  4. n is kept if a loop closed, if nothing is in range, or if even the least informative possible link, the last kept
+//     pose among them, would add more than min_pose_gain; otherwise it is dropped and only its chain is remembered.
+//
+// A pose enters the solver when it is kept, so dropping one costs nothing. Until then its covariance and
+// cross-covariances follow exactly from those of the pose its chain hangs on.
+//
+// AddPose is atomic: if it throws (also out of the registration callback), the state is as before. Not thread-safe.
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "terse/compact/distance.h"
+#include "terse/compact/uncertain_pose.h"
+#include "terse/core/incremental_solver.h"
+
+namespace terse {
+
+// All poses and all links; all poses and links that pass the tests; few poses, few links.
+enum class Strategy { kApal, kApfl, kFpfl };
+const char* Name(Strategy strategy);
+
+template <class Pose>
+struct CompactOptions {
+  Strategy strategy = Strategy::kFpfl;
+  // Sensor range per dimension of the displacement: metres, then radians.
+  Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Constant(1);
+  double probability = 0.1;    // s: every dimension must be in range with more than this
+  double min_loop_gain = 1.0;  // g_loop, nats
+  double min_pose_gain = 3.0;  // g_pose, nats
+  // Covariance expected of a registration, body frame of the newer pose.
+  typename Pose::Jacobian link_covariance = 0.01 * Pose::Jacobian::Identity();
+  Vector<3> view_axis = {0, 0, 1};  // body frame, 3D only
+  IncrementalOptions solver;
+};
+
+// Measures T_candidate_current, given in either direction; nullopt when the two do not match.
+template <class Pose>
+using Registration =
+    std::function<std::optional<RelativePoseFactor<Pose>>(PoseId candidate, PoseId current)>;
+
+template <class Pose>
+struct CompactInput {
+  PoseId id;
+  // To an earlier pose, kept or dropped, in either direction. Absent for the very first pose only.
+  std::optional<RelativePoseFactor<Pose>> odometry;
+  std::optional<Pose> T_world_body = std::nullopt;  // of the first pose; default identity
+  bool fixed = false;                               // anchored at T_world_body
+  std::vector<Factor<Pose>> priors;                 // a pose with priors is kept
+  // The poses known to be linkable, if known: APAL registers these (twice if named twice) instead of searching.
+  std::optional<std::vector<PoseId>> linkable = std::nullopt;
+};
+
+struct Candidate {
+  PoseId id;
+  double probability = 0;  // smallest over the dimensions
+  double gain = 0;         // nats, with the expected link covariance
+  bool tried = false;
+  std::optional<double> measured_gain;  // nats, with the registered covariance; absent if registration failed
+  bool accepted = false;
+};
+
+enum class PoseVerdict { kFirst, kAllKept, kLoopClosed, kPrior, kNothingInRange, kInformative, kRedundant };
+const char* Name(PoseVerdict verdict);
+
+struct Decision {
+  PoseId id;
+  std::vector<Candidate> candidates;  // as last evaluated, in order of the search
+  PoseVerdict verdict = PoseVerdict::kFirst;
+  // Least gain among the possible links, nats; absent when nothing was in range.
+  std::optional<double> pose_gain;
+  int registrations_tried = 0;
+  int links_accepted = 0;
+  bool Kept() const { return verdict != PoseVerdict::kRedundant; }
+};
+
+// How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Eq. 24): chained to the kept pose before
+// them. kV2 (Eqs. 25-26): that chain's misfit at the next kept pose spread over it by its covariance.
+enum class Recovery { kV0, kV1, kV2 };
+
+template <class Pose>
+struct RecoveredPose {
+  PoseId id;
+  bool kept = true;
+  Pose T_world_body;
+};
+
+template <class Pose>
+class CompactPoseSlam {
+ public:
+  // Throws std::invalid_argument if an option is out of its domain.
+  explicit CompactPoseSlam(const CompactOptions<Pose>& options);
+
+  Decision AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration);
+
+  // The kept poses and links.
+  const IncrementalSolver<Pose>& Solver() const { return solver_; }
+  // Iterates the kept graph to its optimum.
+  BatchResult<Pose> Finish() { return solver_.Finish(); }
+  // All poses in order of arrival.
+  std::vector<RecoveredPose<Pose>> Trajectory(Recovery recovery = Recovery::kV2) const;
+  // Of any pose seen, kept or dropped, in the present map (as kV1).
+  Pose Estimate(PoseId id) const;
+
+  int PosesSeen() const { return static_cast<int>(history_.size()); }
+  int LinksKept() const { return links_kept_; }
+
+ private:
+  // Where a pose hangs: itself if kept (identity), else the kept pose before it.
+  struct Seen {
+    PoseId id, base;
+    UncertainPose<Pose> T_base_pose;
+    Pose T_world_body_when_dropped;
+    PoseId next_kept;  // the next pose kept on its chain, if has_next
+    UncertainPose<Pose> T_base_next;
+    bool has_next = false;
+    bool kept = true;
+  };
+  // How far off, root mean square, the relative pose of a kept pose to the newest can be (an upper bound).
+  struct Bound {
+    double metres = 0, radians = 0;
+  };
+  struct Current;  // the pose at hand
+
+  std::vector<Candidate> Search(const Current& current, std::vector<Bound>& bounds) const;
+  std::vector<int> Prefilter(const Current& current, const std::vector<Bound>& bounds) const;
+  void Evaluate(const Current& current, const std::vector<int>& poses, std::vector<Candidate>* candidates,
+                std::vector<Bound>* bounds) const;
+  void CloseLoops(Current& current, Decision& decision, const Registration<Pose>& registration);
+  void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
+  void Judge(const Current& current, Decision& decision) const;
+  void Keep(Current& current, const std::vector<Factor<Pose>>& links);
+  std::vector<Bound> PropagateBounds(const UncertainPose<Pose>& odometry, bool continues) const;
+  Current Start(const CompactInput<Pose>& input) const;
+  void Remember(const Current& current, bool kept);
+  std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
+                                                   PoseId current) const;
+
+  CompactOptions<Pose> options_;
+  double deviations_ = 0;  // of the prefilter
+  IncrementalSolver<Pose> solver_;
+  std::vector<Seen> history_;
+  std::unordered_map<std::int64_t, int> index_;  // into history_
+  std::vector<Bound> bounds_;                    // by solver pose index, to the newest pose
+  int links_kept_ = 0;
+};
+
+extern template class CompactPoseSlam<SE2>;
+extern template class CompactPoseSlam<SE3>;
+
+}  // namespace terse

@@ -1,0 +1,63 @@
+# One install test, see CMakeLists.txt. install_plain installs and leaves its output for the others to compare with.
+set(prefix ${work}/prefix)
+set(consumer ${work}/${name})
+unset(ENV{DESTDIR})
+unset(ENV{LD_LIBRARY_PATH})
+unset(ENV{CXXFLAGS})
+
+function(run)
+  execute_process(COMMAND ${ARGN} RESULT_VARIABLE status OUTPUT_VARIABLE output ERROR_VARIABLE output)
+  if(NOT status EQUAL 0)
+    string(REPLACE ";" " " command "${ARGN}")
+    message(FATAL_ERROR "${command}: ${status}\n${output}")
+  endif()
+  set(output "${output}" PARENT_SCOPE)
+endfunction()
+
+if(name STREQUAL "install_plain")
+  file(REMOVE_RECURSE ${prefix})
+  run(${CMAKE_COMMAND} --install ${build} --prefix ${prefix})
+
+  # Nothing exported may name this machine's folders or depend on processor flags.
+  file(GLOB_RECURSE exported ${prefix}/*.cmake)
+  foreach(file ${exported})
+    file(READ ${file} text)
+    foreach(word ${source} ${build} "-march" "-mavx" "-Wall" "SuiteSparse" "amd")
+      string(FIND "${text}" "${word}" at)
+      if(NOT at EQUAL -1)
+        message(FATAL_ERROR "${file} contains ${word}")
+      endif()
+    endforeach()
+  endforeach()
+
+  if(has_command)
+    run(${prefix}/bin/terse --help)
+  endif()
+endif()
+
+file(REMOVE_RECURSE ${consumer})
+run(${CMAKE_COMMAND} -S ${CMAKE_CURRENT_LIST_DIR}/consumer -B ${consumer} -G ${generator} -D CMAKE_BUILD_TYPE=Release
+    -D CMAKE_CXX_COMPILER=${compiler} -D CMAKE_CXX_FLAGS=${flags} -D CMAKE_PREFIX_PATH=${prefix}
+    -D Eigen3_DIR=${eigen})
+run(${CMAKE_COMMAND} --build ${consumer})
+
+if(flags MATCHES "x86-64-v3")
+  file(READ /proc/cpuinfo cpu)
+  foreach(feature avx2 bmi2 fma movbe)
+    if(NOT cpu MATCHES " ${feature}[ \n]")
+      message("SKIPPED: the program is built, but this processor cannot run it: it has no ${feature}")
+      return()
+    endif()
+  endforeach()
+endif()
+
+run(${consumer}/consumer)
+message("${output}")
+if(name STREQUAL "install_plain")
+  file(WRITE ${work}/output.txt "${output}")
+else()
+  file(READ ${work}/output.txt expected)
+  if(NOT output STREQUAL expected)
+    message(FATAL_ERROR "differs from the program built without ${flags}:\n${expected}")
+  endif()
+endif()
