@@ -18,7 +18,9 @@ std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 bool IsFinite(const SE2& T) { return T.Translation().allFinite() && std::isfinite(T.Theta()); }
 bool IsFinite(const SE3& T) { return T.Translation().allFinite() && T.Rotation().Unit().coeffs().allFinite(); }
 template <int N>
-bool IsFinite(const Vector<N>& p) { return p.allFinite(); }
+bool IsFinite(const Vector<N>& p) {
+  return p.allFinite();
+}
 
 template <class Measurement, int N>
 std::string FindDefectIn(const std::string& name, const Measurement& measurement, const Matrix<N, N>& information) {
@@ -43,7 +45,8 @@ std::string FindDefectIn(const std::string& name, const Measurement& measurement
 template <class Pose>
 void PoseGraph<Pose>::AddPose(PoseId id, const std::optional<Pose>& T_world_body) {
   if (HasPose(id)) throw std::invalid_argument(Name(id) + " is in the graph already");
-  if (T_world_body && !IsFinite(*T_world_body)) throw std::invalid_argument(Name(id) + " has a value that is not finite");
+  if (T_world_body && !IsFinite(*T_world_body))
+    throw std::invalid_argument(Name(id) + " has a value that is not finite");
   poses_.push_back({id, T_world_body, false});
   index_.emplace(id.value, static_cast<int>(poses_.size()) - 1);
 }
@@ -164,11 +167,11 @@ std::vector<std::vector<int>> ConnectedComponents(const PoseGraph<Pose>& graph) 
   return components;
 }
 
-#define TERSE_INSTANTIATE(Pose)                              \
-  template class PoseGraph<Pose>;                            \
-  template FactorPoses PosesOf<Pose>(const Factor<Pose>&);   \
+#define TERSE_INSTANTIATE(Pose)                               \
+  template class PoseGraph<Pose>;                             \
+  template FactorPoses PosesOf<Pose>(const Factor<Pose>&);    \
   template std::string FindDefect<Pose>(const Factor<Pose>&); \
-  template double Chi2<Pose>(const PoseGraph<Pose>&);        \
+  template double Chi2<Pose>(const PoseGraph<Pose>&);         \
   template std::vector<std::vector<int>> ConnectedComponents<Pose>(const PoseGraph<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -55,10 +55,10 @@ double FactorChi2(const Factor<Pose>& factor, const Pose& T_world_first, const P
   return Weighted(r, f.information);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                 \
-  template RelativeResidual<Pose> EvaluateRelative<Pose>(const Pose&, const Pose&, const Pose&);                \
-  template PriorResidual<Pose> EvaluatePrior<Pose>(const Pose&, const Pose&);                                   \
-  template PositionResidual<Pose> EvaluatePosition<Pose>(const Pose::Position&, const Pose&);                   \
+#define TERSE_INSTANTIATE(Pose)                                                                  \
+  template RelativeResidual<Pose> EvaluateRelative<Pose>(const Pose&, const Pose&, const Pose&); \
+  template PriorResidual<Pose> EvaluatePrior<Pose>(const Pose&, const Pose&);                    \
+  template PositionResidual<Pose> EvaluatePosition<Pose>(const Pose::Position&, const Pose&);    \
   template double FactorChi2<Pose>(const Factor<Pose>&, const Pose&, const Pose&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

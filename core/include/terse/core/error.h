@@ -11,7 +11,9 @@ class FileError : public std::runtime_error {
  public:
   FileError(const std::string& path, long line, const std::string& cause)
       : std::runtime_error(path + (line > 0 ? ":" + std::to_string(line) : "") + ": " + cause),
-        path_(path), line_(line), cause_(cause) {}
+        path_(path),
+        line_(line),
+        cause_(cause) {}
   const std::string& path() const { return path_; }
   long line() const { return line_; }
   const std::string& cause() const { return cause_; }

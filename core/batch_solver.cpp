@@ -1,0 +1,341 @@
+#include "terse/core/batch_solver.h"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <sstream>
+#include <stdexcept>
+
+#include "stopwatch.h"
+#include "terse/core/error.h"
+#include "terse/core/gauge.h"
+#include "terse/core/residual.h"
+
+namespace terse {
+namespace {
+
+using internal::ScopedTimer;
+using std::size_t;
+constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+// The graph's factors by pose index, the fixed poses' priors behind them, and the anchor.
+template <class Pose>
+class Problem {
+ public:
+  static constexpr int B = Pose::kDof;
+
+  explicit Problem(const PoseGraph<Pose>& graph) : graph_(graph) {
+    if (graph.Poses().empty()) throw std::invalid_argument("the graph has no poses");
+    for (const auto& node : graph.Factors()) Add(&node.factor);
+    counted_ = terms_.size();
+    fixed_.reserve(graph.Poses().size());
+    for (const auto& node : graph.Poses()) {
+      if (node.fixed && node.T_world_body) fixed_.emplace_back(FixedPosePrior<Pose>(node.id, *node.T_world_body));
+    }
+    for (const auto& prior : fixed_) Add(&prior);
+    anchor_ = Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph)));
+  }
+  Problem(const Problem&) = delete;
+  Problem& operator=(const Problem&) = delete;
+
+  typename BlockCholesky<B>::Changes Everything(const std::vector<Pose>& values) const {
+    typename BlockCholesky<B>::Changes all;
+    all.new_variables = static_cast<int>(graph_.Poses().size());
+    all.added.reserve(terms_.size() + 1);
+    for (const Term& term : terms_) all.added.push_back(LinearizeTerm(term, values));
+    all.added.push_back(anchor_);
+    return all;
+  }
+
+  // Slots are those of Everything() on an empty factor: 0, 1, ...
+  void LinearizeInto(BlockCholesky<B>& factor, const std::vector<Pose>& values) const {
+    for (size_t k = 0; k < terms_.size(); ++k) {
+      factor.SetFactor(static_cast<int>(k), LinearizeTerm(terms_[k], values));
+    }
+  }
+
+  // chi2 of the measurements, and what the fixed poses' priors add.
+  double Cost(const std::vector<Pose>& values, double& chi2) const {
+    double sum = 0;
+    for (size_t k = 0; k < terms_.size(); ++k) {
+      if (k == counted_) chi2 = sum;
+      const Term& t = terms_[k];
+      sum += FactorChi2(*t.factor, values[At(t.first)], values[At(t.second)]);
+    }
+    if (counted_ == terms_.size()) chi2 = sum;
+    return sum;
+  }
+
+ private:
+  struct Term {
+    const Factor<Pose>* factor;
+    int first, second;
+  };
+  void Add(const Factor<Pose>* factor) {
+    const FactorPoses ends = PosesOf(*factor);
+    terms_.push_back({factor, graph_.IndexOf(ends.first), graph_.IndexOf(ends.second)});
+  }
+  static LinearFactor<B> LinearizeTerm(const Term& t, const std::vector<Pose>& values) {
+    return Linearize(*t.factor, t.first, t.second, values[At(t.first)], values[At(t.second)]);
+  }
+
+  const PoseGraph<Pose>& graph_;
+  std::vector<Term> terms_;
+  size_t counted_ = 0;  // terms that make up chi2
+  std::vector<Factor<Pose>> fixed_;
+  LinearFactor<B> anchor_;
+};
+
+// Levenberg-Marquardt damping after Nielsen: zero while full steps work.
+class Damping {
+ public:
+  double lambda() const { return lambda_; }
+  void Accept(double gain_ratio) {
+    lambda_ *= std::max(1.0 / 3, 1 - std::pow(2 * gain_ratio - 1, 3));
+    if (lambda_ < 1e-9) lambda_ = 0;
+    growth_ = 2;
+  }
+  void Reject() {
+    lambda_ = std::max(lambda_ * growth_, 1e-6);
+    growth_ *= 2;
+  }
+
+ private:
+  double lambda_ = 0, growth_ = 2;
+};
+
+template <class Pose>
+std::vector<Pose> Step(const std::vector<Pose>& values, const std::vector<double>& d) {
+  std::vector<Pose> out;
+  out.reserve(values.size());
+  for (size_t v = 0; v < values.size(); ++v) {
+    out.push_back(values[v].Retract(Eigen::Map<const Vector<Pose::kDof>>(d.data() + v * Pose::kDof)));
+  }
+  return out;
+}
+
+double LargestEntry(const std::vector<double>& v) {
+  double largest = 0;
+  for (const double x : v) largest = std::max(largest, std::abs(x));
+  return largest;
+}
+
+// One solver run; the loop is spread over small members.
+template <class Pose>
+class Run {
+ public:
+  static constexpr int B = Pose::kDof;
+
+  Run(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial, const BatchOptions& options)
+      : graph_(graph), problem_(graph), options_(options) {
+    if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
+    result_.T_world_body = initial;
+  }
+
+  BatchResult<Pose> Execute() && {
+    cost_ = problem_.Cost(result_.T_world_body, result_.chi2);
+    if (!std::isfinite(cost_)) {
+      Finish(Termination::kDiverged, "chi2 is not finite at the initial values");
+    } else if (BuildFactor()) {
+      Iterate();
+    }
+    return std::move(result_);
+  }
+
+ private:
+  void Finish(Termination termination, const std::string& message) {
+    result_.termination = termination;
+    result_.message = message;
+    done_ = true;
+  }
+
+  bool BuildFactor() {
+    typename BlockCholesky<B>::Changes everything;
+    {
+      ScopedTimer timer(result_.seconds.linearise);
+      everything = problem_.Everything(result_.T_world_body);
+    }
+    double seconds = 0;
+    typename BlockCholesky<B>::UpdateReport report;
+    {
+      ScopedTimer timer(seconds);
+      report = result_.factor.Update(std::move(everything));
+    }
+    result_.seconds.order += report.seconds_order;
+    result_.seconds.factor += seconds - report.seconds_order;
+    if (!report.ok) {
+      Finish(Termination::kNotPositiveDefinite,
+             "the system is singular at pose " + std::to_string(graph_.Poses()[At(report.failed_variable)].id.value) +
+                 ": nothing measures some of its directions");
+      return false;
+    }
+    return true;
+  }
+
+  void Iterate() {
+    while (!done_) {
+      if (result_.iterations >= options_.max_iterations) {
+        Finish(Termination::kMaxIterations, "stopped after " + std::to_string(result_.iterations) + " iterations");
+        break;
+      }
+      TakeStep();
+    }
+    if (best_) Accept(std::move(*best_));
+    // The factor that is handed out is the undamped one at the final values.
+    if (!factored_here_) factored_here_ = RefactorAt(0);
+    result_.gradient_norm = LargestEntry(result_.factor.Gradient());
+    if (factored_here_) {
+      result_.factor.Solve();
+      result_.log_determinant = result_.factor.LogDeterminant();
+    } else if (result_.termination != Termination::kNotPositiveDefinite) {
+      Finish(Termination::kNotPositiveDefinite, "the system is singular at the final values");
+    }
+  }
+
+  bool RefactorAt(double lambda) {
+    if (!linearised_here_) {
+      ScopedTimer timer(result_.seconds.linearise);
+      problem_.LinearizeInto(result_.factor, result_.T_world_body);
+      linearised_here_ = true;
+    }
+    ScopedTimer timer(result_.seconds.factor);
+    damping_.clear();
+    if (lambda > 0) {
+      damping_ = result_.factor.Diagonal();
+      for (double& x : damping_) x = lambda * std::max(x, 1e-12);
+    }
+    return result_.factor.Refactor(damping_);
+  }
+
+  void TakeStep() {
+    ++result_.iterations;
+    const double lambda = damping_control_.lambda();
+    if (!factored_here_ || lambda > 0) factored_here_ = RefactorAt(lambda) && lambda == 0;
+    if (!factored_here_ && lambda == 0) return Reject("the system is not positive definite");
+    std::vector<double> d;
+    {
+      ScopedTimer timer(result_.seconds.solve);
+      result_.factor.Solve();
+      d = result_.factor.Solution();
+    }
+    double predicted = result_.factor.NewtonDecrement();
+    for (size_t i = 0; i < damping_.size(); ++i) predicted += damping_[i] * d[i] * d[i];
+    State trial{Step(result_.T_world_body, d)};
+    trial.cost = problem_.Cost(trial.values, trial.chi2);
+    const double decrease = cost_ - trial.cost;
+    // chi2 has no unit: below the constant it is rounding.
+    const double tolerance = options_.relative_tolerance * cost_ + 1e-16;
+    const bool small = predicted <= tolerance;
+    if (std::isfinite(trial.cost) && decrease >= 0) {
+      Accept(std::move(trial));
+      damping_control_.Accept(predicted > 0 ? decrease / predicted : 1);
+      if (best_ && cost_ < best_->cost) {
+        best_.reset();
+        climbing_ = 0;
+      }
+    } else if (!small && MayClimb(trial.cost, lambda)) {
+      if (!best_) best_ = State{result_.T_world_body, result_.chi2, cost_};
+      Accept(std::move(trial));
+    } else if (!small) {
+      return Reject("chi2 rose from " + std::to_string(cost_) + " to " + std::to_string(trial.cost));
+    }
+    if (best_ && ++climbing_ > kClimb) Retreat();
+    if (options_.progress && !options_.progress(result_.iterations, result_.chi2)) {
+      return Finish(Termination::kStopped, "stopped by the caller");
+    }
+    if (!best_ && (small || (decrease >= 0 && decrease <= tolerance && lambda == 0))) {
+      std::ostringstream message;
+      message << "chi2 changes by less than " << options_.relative_tolerance << " of itself";
+      Finish(Termination::kConverged, message.str());
+    }
+  }
+
+  struct State {
+    std::vector<Pose> values;
+    double chi2 = 0, cost = 0;
+  };
+
+  void Accept(State state) {
+    result_.T_world_body = std::move(state.values);
+    result_.chi2 = state.chi2;
+    cost_ = state.cost;
+    factored_here_ = linearised_here_ = false;
+  }
+
+  // Stiff odometry makes curved valleys, which a solver that only descends crawls along. Full steps may therefore
+  // climb for a few iterations; if they do not come out below where they set off, damping takes over from there.
+  bool MayClimb(double cost, double lambda) const {
+    if (options_.method == Method::kGaussNewton || lambda > 0 || !std::isfinite(cost)) return false;
+    return cost < 100 * (best_ ? best_->cost : cost_);
+  }
+
+  void Retreat() {
+    Accept(std::move(*best_));
+    best_.reset();
+    climbing_ = 0;
+    damping_control_.Reject();
+  }
+
+  void Reject(const std::string& why) {
+    if (best_) return Retreat();
+    if (options_.method == Method::kGaussNewton) return Finish(Termination::kDiverged, why);
+    damping_control_.Reject();
+    if (damping_control_.lambda() > 1e16) Finish(Termination::kDiverged, why + ", and no damping helps");
+  }
+
+  static constexpr int kClimb = 4;
+
+  const PoseGraph<Pose>& graph_;
+  const Problem<Pose> problem_;
+  const BatchOptions& options_;
+  BatchResult<Pose> result_;
+  Damping damping_control_;
+  std::vector<double> damping_;
+  double cost_ = 0;
+  std::optional<State> best_;  // where full steps began to climb
+  int climbing_ = 0;
+  bool done_ = false;
+  bool linearised_here_ = true;  // the factor's linear factors are those of the current values
+  bool factored_here_ = true;    // and it is factored without damping
+};
+
+}  // namespace
+
+const char* Name(Termination termination) {
+  switch (termination) {
+    case Termination::kConverged: return "converged";
+    case Termination::kMaxIterations: return "max_iterations";
+    case Termination::kDiverged: return "diverged";
+    case Termination::kNotPositiveDefinite: return "not_positive_definite";
+    case Termination::kStopped: return "stopped";
+  }
+  return "unknown";
+}
+
+template <class Pose>
+BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial,
+                             const BatchOptions& options) {
+  return Run<Pose>(graph, initial, options).Execute();
+}
+
+template <class Pose>
+BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body) {
+  if (T_world_body.size() != graph.Poses().size()) throw std::invalid_argument("one value per pose is needed");
+  BlockCholesky<Pose::kDof> factor;
+  const auto report = factor.Update(Problem<Pose>(graph).Everything(T_world_body));
+  if (!report.ok) {
+    throw NumericalError("the system is singular at pose " +
+                         std::to_string(graph.Poses()[At(report.failed_variable)].id.value));
+  }
+  factor.Solve();
+  return factor;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template BatchResult<Pose> SolveBatch<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, const BatchOptions&); \
+  template BlockCholesky<Pose::kDof> FactorAt<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse

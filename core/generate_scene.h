@@ -1,0 +1,87 @@
+#pragma once
+// Private to the generator: what a scene is, the random numbers, and the search for links.
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <random>
+#include <unordered_map>
+#include <vector>
+
+#include "terse/core/generate.h"
+
+namespace terse::internal {
+
+// The engine's stream is fixed by the standard; the distributions of <random> are not, so here are our own.
+class Random {
+ public:
+  explicit Random(std::uint64_t seed) : engine_(seed) {}
+  // In [0, 1), 53 bits.
+  double Uniform() { return static_cast<double>(engine_() >> 11) * 0x1p-53; }
+  // Marsaglia's polar method.
+  double Normal();
+
+ private:
+  std::mt19937_64 engine_;
+  double spare_ = 0;
+  bool has_spare_ = false;
+};
+
+// Nine decimals. What the generator gives out is rounded so that the last bit of a sine, in which mathematical
+// libraries differ, does not reach the file.
+inline double Rounded(double value) { return std::round(value * 1e9) / 1e9; }
+SE2 Rounded(const SE2& T);
+SE3 Rounded(const SE3& T);
+
+// Which earlier poses pose k is linked to, besides its predecessor.
+struct LinkRule {
+  std::vector<long> offsets;       // k - offset, where that exists
+  double radius_m = 0;             // and, if positive, every pose closer than this
+  double max_view_angle_rad = 10;  // whose view direction differs by less than this
+  long min_gap = 2;                // at least so many poses before k
+  long max_links = 0;              // the newest so many; 0: all
+};
+
+template <class Pose>
+struct ScenePlan {
+  long poses = 0;
+  std::function<Pose(long k)> T_world_body;                            // called once for each k, in order
+  std::function<typename Pose::Tangent(const Pose& T_from_to)> sigma;  // standard deviations of a measurement
+  LinkRule links;
+};
+
+// Throw std::invalid_argument for options the scene cannot follow.
+ScenePlan<SE2> PlanManhattan(const GenerateOptions& options, Random& random);
+ScenePlan<SE3> PlanEllipse(const GenerateOptions& options);
+ScenePlan<SE3> PlanEllipseLaps(const GenerateOptions& options);
+ScenePlan<SE3> PlanSphere(const GenerateOptions& options);
+ScenePlan<SE3> PlanTorus(const GenerateOptions& options);
+ScenePlan<SE3> PlanGarage(const GenerateOptions& options);
+
+// The view direction: body z in space, body x in the plane.
+Vector<2> ViewDirection(const SE2& T_world_body);
+Vector<3> ViewDirection(const SE3& T_world_body);
+
+// Earlier poses near a new one: a hash of cells, each the head of a chain through `previous_`.
+template <class Pose>
+class LinkFinder {
+ public:
+  explicit LinkFinder(const LinkRule& rule) : rule_(rule) {}
+  // Links of pose k = poses.size() - 1, oldest first; then k is in the hash for those to come.
+  std::vector<long> Next(const std::vector<Pose>& poses);
+
+ private:
+  using Cell = std::array<long, 3>;
+  struct CellHash {
+    std::size_t operator()(const Cell& cell) const;
+  };
+  Cell CellOf(const Pose& pose) const;
+  void CollectNear(const std::vector<Pose>& poses, std::vector<long>& found) const;
+
+  LinkRule rule_;
+  std::unordered_map<Cell, long, CellHash> newest_;
+  std::vector<long> previous_;  // the next older pose in the same cell, or -1
+};
+
+}  // namespace terse::internal

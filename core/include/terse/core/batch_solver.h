@@ -1,0 +1,63 @@
+#pragma once
+// Batch optimisation of a pose graph: Gauss-Newton and Levenberg-Marquardt on the block multifrontal factor.
+//
+// Minimises chi2(T) = sum r' Omega r over all poses, T <- T.Retract(d), from given initial values. The gauge is fixed
+// as gauge.h describes. Throws std::invalid_argument for misuse (sizes, an empty graph); everything numerical is
+// reported in the result.
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "terse/core/block_cholesky.h"
+#include "terse/core/pose_graph.h"
+
+namespace terse {
+
+enum class Method {
+  kGaussNewton,         // full steps; stops if chi2 rises
+  kLevenbergMarquardt,  // full steps while they lower chi2, damped where they do not
+};
+
+struct BatchOptions {
+  Method method = Method::kLevenbergMarquardt;
+  int max_iterations = 200;
+  // Converged when a step lowers chi2, or is predicted to, by less than this share of it.
+  double relative_tolerance = 1e-11;
+  // Called after every iteration with its number and chi2. Return false to stop.
+  std::function<bool(int iteration, double chi2)> progress;
+};
+
+enum class Termination { kConverged, kMaxIterations, kDiverged, kNotPositiveDefinite, kStopped };
+const char* Name(Termination termination);
+
+// Seconds spent; the parts do not add up to the whole.
+struct PhaseSeconds {
+  double order = 0, linearise = 0, factor = 0, solve = 0;
+};
+
+template <class Pose>
+struct BatchResult {
+  Termination termination = Termination::kMaxIterations;
+  std::string message;             // what happened, for people
+  std::vector<Pose> T_world_body;  // by pose index; the best found
+  int iterations = 0;
+  double chi2 = 0;           // at T_world_body, without gauge terms
+  double gradient_norm = 0;  // largest entry of A'r there
+  double log_determinant = 0;
+  PhaseSeconds seconds;
+  // The factor at T_world_body (variable = pose index), for covariances; unless not positive definite.
+  BlockCholesky<Pose::kDof> factor;
+  bool Converged() const { return termination == Termination::kConverged; }
+};
+
+template <class Pose>
+BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial,
+                             const BatchOptions& options = {});
+
+// The undamped factor at given values (variable = pose index). Throws NumericalError naming the pose at which the
+// system turned out singular.
+template <class Pose>
+BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body);
+
+}  // namespace terse

@@ -1,0 +1,122 @@
+#pragma once
+// Multifrontal block Cholesky factor H = L L' of a linearised pose graph, kept up to date as the graph changes.
+//
+// The factor minimises sum |A_i d + r_i|^2 over d, with B scalars per variable: H = A'A, b = -A'r. One structure
+// serves batch and incremental use: a tree of fronts. A front owns pivot variables P and couples them to separator
+// variables S, all of them pivots of its ancestors. It stores the panel [L_PP; L_SP; y_P'] and the update
+// matrix [.. ; ..] (lower triangle, the last row is the right-hand side) that it hands to its parent. Every linear
+// factor is assembled at the front of its earliest variable.
+//
+// Update() changes the graph: affected are the fronts that hold a touched variable and all their ancestors; their
+// variables are ordered again (the newest last) and refactored, children that are not affected hand up their stored
+// update matrix. With everything affected this is batch factorisation (DESIGN: Ila et al. 2017, section 3, and
+// Kaess et al. 2012 for the tree).
+//
+// Cost of Update: symbolic and numeric work on the affected fronts only. Not thread-safe for writing; const
+// functions may run concurrently. Instantiated for B = 3 and 6.
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "terse/core/linear_factor.h"
+
+namespace terse {
+
+template <int B>
+class BlockCholesky {
+ public:
+  struct Front {
+    int parent = -1;
+    std::vector<int> pivots, separators;  // variables in elimination order
+    std::vector<int> children;
+    std::vector<int> slots;      // linear factors assembled here
+    std::vector<double> panel;   // (p + s + 1) x p, column-major, p = B |P|, s = B |S|
+    std::vector<double> update;  // (s + 1) x (s + 1), column-major, lower triangle
+    double subtree_log_det = 0;  // sum of 2 ln L_kk over the front and its descendants
+    double subtree_y2 = 0;       // sum of |y|^2 likewise
+    bool fresh = true;           // refactored since the last Solve
+    int Rows() const { return B * static_cast<int>(pivots.size() + separators.size()) + 1; }
+    int Columns() const { return B * static_cast<int>(pivots.size()); }
+  };
+
+  struct Changes {
+    int new_variables = 0;                                  // numbered on from Variables()
+    std::vector<LinearFactor<B>> added;                     // may name the new variables
+    std::vector<std::pair<int, LinearFactor<B>>> replaced;  // slot, same variables
+    std::vector<int> removed;                               // slots
+  };
+
+  struct UpdateReport {
+    bool ok = false;
+    int failed_variable = -1;       // where the matrix was found not to be positive definite
+    std::vector<int> added_slots;   // one per added factor
+    int fronts = 0, variables = 0;  // refactored
+    double flops = 0;               // sum of squared column counts
+    double seconds_order = 0;       // of the symbolic part
+  };
+
+  // If the changed matrix is not positive definite, nothing is changed and ok is false.
+  [[nodiscard]] UpdateReport Update(Changes changes);
+
+  // New values for all factors on the present structure: numeric work only. damping (B * Variables() scalars
+  // or empty) is added to the diagonal. If false, the factor is unusable until a Refactor succeeds.
+  void SetFactor(int slot, const LinearFactor<B>& factor);
+  [[nodiscard]] bool Refactor(const std::vector<double>& damping = {});
+
+  // Back-substitution L' d = y from the roots. A subtree is skipped where no front was refactored and no separator
+  // moved by more than `threshold` (per scalar, in the unit of the scalar); values that would move less keep their old
+  // value. 0 is exact. Returns the variables whose d changed.
+  std::vector<int> Solve(double threshold = 0);
+  // d, B scalars per variable, as of the last Solve.
+  const std::vector<double>& Solution() const { return solution_; }
+  // Sets d of one variable to zero: its linearisation point took the step over.
+  void ClearSolution(int variable);
+
+  int Variables() const { return static_cast<int>(front_of_.size()); }
+  double LogDeterminant() const;   // ln det H
+  double NewtonDecrement() const;  // |y|^2 = b' H^-1 b: the predicted decrease of chi2
+  // b = -A'r at the linearisation point, B scalars per variable.
+  std::vector<double> Gradient() const;
+  // diag(H).
+  std::vector<double> Diagonal() const;
+  const LinearFactor<B>& FactorAt(int slot) const { return factors_[static_cast<std::size_t>(slot)]; }
+  // Slots of the living factors on a variable, ascending.
+  const std::vector<int>& SlotsOf(int variable) const { return slots_of_[static_cast<std::size_t>(variable)]; }
+
+  // The tree, for covariances. Front ids are not contiguous.
+  const Front& FrontAt(int front) const { return fronts_[static_cast<std::size_t>(front)]; }
+  int FrontOf(int variable) const { return front_of_[static_cast<std::size_t>(variable)]; }
+  const std::vector<int>& Roots() const { return roots_; }
+  std::int64_t FactorNonzeros() const;
+  // Grows with every successful Update or Refactor.
+  std::uint64_t Version() const { return version_; }
+
+ private:
+  struct Undo;
+  std::vector<int> AffectedFronts(const Changes& changes) const;
+  void ApplyFactors(Changes& changes, std::vector<int>& added_slots, Undo& undo);
+  void RevertFactors(const Undo& undo);
+  void Attach(int slot);
+  void Detach(int slot);
+  int FactorFront(Front& front, const std::vector<Front>& pending, const std::vector<double>& damping);
+  void AssembleFactor(Front& front, const LinearFactor<B>& factor);
+  void AssembleChild(Front& front, const Front& child);
+  std::vector<int> TopDown() const;
+
+  std::vector<LinearFactor<B>> factors_;  // by slot; first is -1 for a free slot
+  std::vector<int> free_slots_;
+  std::vector<std::vector<int>> slots_of_;  // by variable
+  std::vector<Front> fronts_;
+  std::vector<int> free_fronts_;
+  std::vector<int> front_of_;  // by variable
+  std::vector<int> roots_;
+  std::vector<double> solution_;
+  std::vector<int> row_of_;  // scratch: a variable's first row in the front at hand
+  std::uint64_t version_ = 0;
+};
+
+extern template class BlockCholesky<3>;
+extern template class BlockCholesky<6>;
+
+}  // namespace terse

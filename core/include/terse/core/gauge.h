@@ -1,0 +1,33 @@
+#pragma once
+// What fixes the gauge of a pose graph.
+//
+// Relative measurements leave the frame of the map free. A proximal anchor on the first pose fixes it: information on
+// that pose's tangent directions with zero residual at whatever value the pose has, so it never enters chi2
+// and never biases the optimum. Absolute measurements take its place as they become enough:
+// any pose prior, or position priors on two (2D) or three (3D) distinct poses; with fewer, but some,
+// position priors the anchor holds the rotation only.
+
+#include "terse/core/linear_factor.h"
+
+namespace terse {
+
+// 0.1 mm and 0.1 mrad: nothing beside any measurement, and far from the limits of double precision.
+inline constexpr double kAnchorInformation = 1e8;
+
+struct AbsoluteFactors {
+  int pose_priors = 0;           // FIXed poses count as such
+  int position_prior_poses = 0;  // distinct poses with a position prior
+};
+
+template <class Pose>
+AbsoluteFactors CountAbsoluteFactors(const PoseGraph<Pose>& graph);
+
+// Information of the anchor on the first pose, per tangent direction; zero where none is needed.
+template <class Pose>
+Vector<Pose::kDof> AnchorInformation(const AbsoluteFactors& absolute);
+
+// A FIXed pose is held at its value by this prior, which is not counted in chi2.
+template <class Pose>
+PosePriorFactor<Pose> FixedPosePrior(PoseId id, const Pose& T_world_body);
+
+}  // namespace terse

@@ -1,0 +1,36 @@
+#pragma once
+// Where a batch optimisation starts.
+//
+// The frame of the result. A fixed pose with a value (the one of lowest id) decides: everything is moved rigidly
+// so that it has exactly that value. Otherwise the first pose (lowest id) has its file value, or else that of its
+// pose prior, or else the identity; where it has neither value nor pose prior, kCompose and kTree lay the result over
+// the position priors by least squares, if these determine a rigid motion (two distinct ones in 2D, three that
+// are not on a line in 3D). kChordal prefers priors to the first pose's value, see there.
+
+#include <vector>
+
+#include "terse/core/error.h"
+#include "terse/core/pose_graph.h"
+
+namespace terse {
+
+enum class InitialValues {
+  // Each pose from an arrived neighbour by its first connecting factor, in online order (arrival.h).
+  kCompose,
+  // As the file says.
+  kFile,
+  // Along a breadth-first spanning tree of the relative factors from the first pose: fewest factors to each pose.
+  kTree,
+  // Rotations, then translations, each by one linear least-squares problem (chordal relaxation: Martinec and Pajdla,
+  // CVPR 2007; Carlone et al., ICRA 2015). Good where the noise is large. Pose priors enter both problems. Without
+  // any, position priors align the frame if they can; they enter the second problem in any case.
+  kChordal,
+};
+
+// Pose values in the order of graph.Poses(). O(V + E) and, for kChordal, two sparse factorisations. Throws
+// std::invalid_argument if the graph is not connected (not for kFile) or, for kFile, names the first pose
+// without a value; NumericalError if kChordal's systems are singular to rounding.
+template <class Pose>
+std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValues method);
+
+}  // namespace terse

@@ -1,0 +1,32 @@
+#pragma once
+// A factor's linearisation, a value of its own apart from any solver.
+//
+// The factor contributes |A_first d_first + A_second d_second + residual|^2 to the cost, whitened: W' W = Omega.
+// A factor with fewer scalars than a pose has dof fills the remaining rows with zeros.
+
+#include "terse/core/pose_graph.h"
+
+namespace terse {
+
+template <int B>
+struct LinearFactor {
+  int first = -1, second = -1;  // variables; second is -1 for a prior
+  Matrix<B, B> A_first = Matrix<B, B>::Zero();
+  Matrix<B, B> A_second = Matrix<B, B>::Zero();
+  Vector<B> residual = Vector<B>::Zero();
+};
+
+// Linearises at the given values. `T_world_second` is ignored by priors.
+template <class Pose>
+LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int second, const Pose& T_world_first,
+                                   const Pose& T_world_second);
+
+// A proximal anchor: `information` on every tangent direction of `variable`, with zero residual at any value.
+template <int B>
+LinearFactor<B> Anchor(int variable, const Vector<B>& information);
+
+// The scalars a factor measures: the rows of its residual.
+template <class Pose>
+int Dimension(const Factor<Pose>& factor);
+
+}  // namespace terse

@@ -1,0 +1,114 @@
+// Batch optimisation: recovers the truth, ends where the gradient vanishes, reports failure.
+
+#include "terse/core/batch_solver.h"
+
+#include <gtest/gtest.h>
+
+#include "terse/core/error.h"
+#include "testing.h"
+
+namespace terse {
+namespace {
+
+using testing::Random;
+
+template <class Pose>
+std::vector<Pose> Values(const PoseGraph<Pose>& graph) {
+  std::vector<Pose> out;
+  for (const auto& node : graph.Poses()) out.push_back(*node.T_world_body);
+  return out;
+}
+
+template <class Pose>
+class BatchSolverTest : public ::testing::Test {};
+using Groups = ::testing::Types<SE2, SE3>;
+TYPED_TEST_SUITE(BatchSolverTest, Groups);
+
+TYPED_TEST(BatchSolverTest, RecoversTheTruthWithoutNoise) {
+  Random rng(1);
+  const auto random = testing::MakeRandomGraph<TypeParam>(rng, {40, 0.5, 0.0});
+  std::vector<TypeParam> initial = random.truth;
+  for (std::size_t i = 1; i < initial.size(); ++i) {
+    initial[i] = initial[i] * testing::RandomMotion<TypeParam>(rng, 0.2, 0.1);
+  }
+  const auto result = SolveBatch(random.graph, initial);
+  ASSERT_TRUE(result.Converged()) << result.message;
+  EXPECT_LT(result.chi2, 1e-12);
+  for (std::size_t i = 0; i < initial.size(); ++i) {
+    // The gradient is flat to rounding: poses are good to the square root of the tolerance over the weights.
+    EXPECT_LT(random.truth[i].Local(result.T_world_body[i]).norm(), 1e-7);
+  }
+}
+
+TYPED_TEST(BatchSolverTest, EndsWhereTheGradientVanishes) {
+  for (const bool priors : {false, true}) {
+    Random rng(priors ? 2 : 3);
+    testing::RandomGraphOptions options;
+    options.poses = 50;
+    options.priors = priors;
+    options.id_stride = 7;
+    const auto random = testing::MakeRandomGraph<TypeParam>(rng, options);
+    for (const Method method : {Method::kGaussNewton, Method::kLevenbergMarquardt}) {
+      BatchOptions batch;
+      batch.method = method;
+      const auto result = SolveBatch(random.graph, Values(random.graph), batch);
+      ASSERT_TRUE(result.Converged()) << result.message;
+      const auto dense = testing::MakeDenseSystem(random.graph, result.T_world_body);
+      EXPECT_NEAR(result.gradient_norm, dense.b.cwiseAbs().maxCoeff(), 1e-6);
+      // The step that is left, in standard deviations.
+      EXPECT_LT(std::sqrt(dense.b.dot(dense.H.llt().solve(dense.b))), 1e-4);
+      auto solved = random.graph;
+      for (std::size_t i = 0; i < result.T_world_body.size(); ++i) {
+        solved.SetPose(solved.Poses()[i].id, result.T_world_body[i]);
+      }
+      EXPECT_NEAR(result.chi2, Chi2(solved), 1e-9 * result.chi2);
+    }
+  }
+}
+
+TYPED_TEST(BatchSolverTest, DampingSavesABadStart) {
+  Random rng(4);
+  const auto random = testing::MakeRandomGraph<TypeParam>(rng, {60, 1.0, 0.01});
+  std::vector<TypeParam> initial = random.truth;
+  for (std::size_t i = 1; i < initial.size(); ++i) {
+    initial[i] = initial[i] * testing::RandomMotion<TypeParam>(rng, 1.5, 0.5);
+  }
+  const auto best = SolveBatch(random.graph, random.truth);
+  const auto result = SolveBatch(random.graph, initial);
+  ASSERT_TRUE(result.Converged()) << result.message;
+  EXPECT_NEAR(result.chi2, best.chi2, 1e-6 * best.chi2);
+}
+
+TYPED_TEST(BatchSolverTest, FixedPosesStayAndAreNotCounted) {
+  Random rng(6);
+  auto random = testing::MakeRandomGraph<TypeParam>(rng, {20, 0.5, 0.02});
+  const PoseId first = random.graph.Poses().front().id, last = random.graph.Poses().back().id;
+  random.graph.SetFixed(first, true);
+  random.graph.SetFixed(last, true);
+  const auto initial = Values(random.graph);
+  const auto result = SolveBatch(random.graph, initial);
+  ASSERT_TRUE(result.Converged()) << result.message;
+  // Information 1e8 against about 1e2: the measurements pull by less than a micrometre times their residual.
+  EXPECT_LT(initial.front().Local(result.T_world_body.front()).norm(), 1e-5);
+  EXPECT_LT(initial.back().Local(result.T_world_body.back()).norm(), 1e-5);
+}
+
+TYPED_TEST(BatchSolverTest, ReportsASingularSystem) {
+  PoseGraph<TypeParam> graph;
+  graph.AddPose(PoseId{3}, TypeParam());
+  graph.AddPose(PoseId{8}, TypeParam());
+  const auto result = SolveBatch(graph, Values(graph));
+  EXPECT_EQ(result.termination, Termination::kNotPositiveDefinite);
+  EXPECT_NE(result.message.find("pose 8"), std::string::npos) << result.message;
+  EXPECT_THROW(FactorAt(graph, Values(graph)), NumericalError);
+}
+
+TYPED_TEST(BatchSolverTest, RefusesMisuse) {
+  PoseGraph<TypeParam> graph;
+  EXPECT_THROW(SolveBatch(graph, std::vector<TypeParam>()), std::invalid_argument);
+  graph.AddPose(PoseId{0});
+  EXPECT_THROW(SolveBatch(graph, std::vector<TypeParam>()), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace terse

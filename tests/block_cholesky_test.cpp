@@ -1,0 +1,238 @@
+// The multifrontal factor against dense linear algebra, after every change of a random graph.
+
+#include "terse/core/block_cholesky.h"
+
+#include <gtest/gtest.h>
+
+#include "testing.h"
+
+namespace terse {
+namespace {
+
+using testing::Random;
+using testing::Uniform;
+
+// Well-conditioned systems of up to 200 scalars: 1e-9 leaves three digits of reserve.
+constexpr double kTolerance = 1e-9;
+
+template <int B>
+LinearFactor<B> RandomFactor(Random& rng, int first, int second) {
+  LinearFactor<B> f;
+  f.first = first;
+  f.second = second;
+  for (int c = 0; c < B; ++c) f.A_first.col(c) = testing::NormalVector<B>(rng);
+  if (second >= 0) {
+    for (int c = 0; c < B; ++c) f.A_second.col(c) = testing::NormalVector<B>(rng);
+  }
+  f.residual = testing::NormalVector<B>(rng);
+  return f;
+}
+
+// The same factors, kept densely.
+template <int B>
+struct Mirror {
+  std::map<int, LinearFactor<B>> by_slot;
+  int variables = 0;
+
+  testing::DenseSystem Dense() const {
+    testing::DenseSystem system{Eigen::MatrixXd::Zero(B * variables, B * variables),
+                                Eigen::VectorXd::Zero(B * variables)};
+    for (const auto& [slot, f] : by_slot) testing::AddDense(system, f);
+    return system;
+  }
+};
+
+template <int B>
+void ExpectEqualsDense(BlockCholesky<B>& factor, const Mirror<B>& mirror, double threshold = 0) {
+  const auto dense = mirror.Dense();
+  const Eigen::LLT<Eigen::MatrixXd> llt(dense.H);
+  ASSERT_EQ(llt.info(), Eigen::Success);
+  const Eigen::VectorXd x = llt.solve(dense.b);
+  factor.Solve(threshold);
+  const auto& solution = factor.Solution();
+  const Eigen::Map<const Eigen::VectorXd> d(solution.data(), static_cast<Eigen::Index>(solution.size()));
+  ASSERT_LT(testing::RelativeError(d, x), kTolerance);
+  const double log_det = 2 * llt.matrixLLT().diagonal().array().log().sum();
+  ASSERT_NEAR(factor.LogDeterminant(), log_det, kTolerance * std::max(1.0, std::abs(log_det)));
+  ASSERT_NEAR(factor.NewtonDecrement(), dense.b.dot(x), kTolerance * std::max(1.0, dense.b.dot(x)));
+}
+
+// Every separator is a pivot of an ancestor; every variable is a pivot once.
+template <int B>
+void ExpectSoundTree(const BlockCholesky<B>& factor) {
+  std::vector<int> seen(static_cast<std::size_t>(factor.Variables()), 0);
+  std::vector<int> stack = factor.Roots();
+  while (!stack.empty()) {
+    const int id = stack.back();
+    stack.pop_back();
+    const auto& front = factor.FrontAt(id);
+    for (const int v : front.pivots) {
+      ++seen[static_cast<std::size_t>(v)];
+      ASSERT_EQ(factor.FrontOf(v), id);
+    }
+    for (const int v : front.separators) {
+      int up = front.parent;
+      while (up >= 0 && up != factor.FrontOf(v)) up = factor.FrontAt(up).parent;
+      ASSERT_GE(up, 0) << "separator " << v << " is not eliminated above its front";
+    }
+    for (const int child : front.children) {
+      ASSERT_EQ(factor.FrontAt(child).parent, id);
+      stack.push_back(child);
+    }
+  }
+  for (const int count : seen) ASSERT_EQ(count, 1);
+}
+
+template <int B>
+void RunRandomChanges(std::uint64_t seed) {
+  SCOPED_TRACE("seed " + std::to_string(seed) + ", block size " + std::to_string(B));
+  Random rng(seed);
+  BlockCholesky<B> factor;
+  Mirror<B> mirror;
+  const auto apply = [&](typename BlockCholesky<B>::Changes changes) {
+    const auto copy = changes;
+    const auto report = factor.Update(std::move(changes));
+    ASSERT_TRUE(report.ok);
+    mirror.variables += copy.new_variables;
+    for (const int slot : copy.removed) mirror.by_slot.erase(slot);
+    for (const auto& [slot, f] : copy.replaced) mirror.by_slot[slot] = f;
+    for (std::size_t k = 0; k < copy.added.size(); ++k) mirror.by_slot[report.added_slots[k]] = copy.added[k];
+  };
+  for (int step = 0; step < 40; ++step) {
+    typename BlockCholesky<B>::Changes changes;
+    const int n = mirror.variables;
+    if (step == 0) {
+      changes.new_variables = 1;
+      changes.added.push_back(RandomFactor<B>(rng, 0, -1));
+    } else {
+      changes.new_variables = static_cast<int>(rng() % 3);
+      for (int v = n; v < n + changes.new_variables; ++v) {
+        changes.added.push_back(RandomFactor<B>(rng, v, -1));
+        changes.added.push_back(RandomFactor<B>(rng, v - 1, v));
+      }
+      if (n > 3 && rng() % 2 == 0) {
+        const int i = static_cast<int>(rng() % static_cast<std::uint64_t>(n));
+        const int j = static_cast<int>(rng() % static_cast<std::uint64_t>(n));
+        if (i != j) changes.added.push_back(RandomFactor<B>(rng, i, j));
+      }
+      for (const auto& [slot, f] : mirror.by_slot) {
+        if (rng() % 10 == 0) changes.replaced.emplace_back(slot, RandomFactor<B>(rng, f.first, f.second));
+        // Unary factors stay: without one the matrix could become singular.
+        else if (f.second >= 0 && rng() % 25 == 0)
+          changes.removed.push_back(slot);
+      }
+    }
+    apply(std::move(changes));
+    ExpectEqualsDense(factor, mirror);
+    ExpectSoundTree(factor);
+    if (::testing::Test::HasFatalFailure()) return;
+  }
+}
+
+TEST(BlockCholesky, EqualsDenseAfterEveryChange) {
+  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    RunRandomChanges<3>(seed);
+    RunRandomChanges<6>(seed);
+    if (HasFatalFailure()) return;
+  }
+}
+
+TEST(BlockCholesky, BatchAndRefactorEqualDense) {
+  Random rng(5);
+  for (const int n : {1, 2, 7, 40, 120}) {
+    BlockCholesky<3> factor;
+    Mirror<3> mirror;
+    BlockCholesky<3>::Changes changes;
+    changes.new_variables = mirror.variables = n;
+    for (int v = 0; v < n; ++v) {
+      changes.added.push_back(RandomFactor<3>(rng, v, -1));
+      for (int k = 0; k < 3 && v > 0; ++k) {
+        changes.added.push_back(RandomFactor<3>(rng, static_cast<int>(rng() % static_cast<std::uint64_t>(v)), v));
+      }
+    }
+    for (std::size_t k = 0; k < changes.added.size(); ++k) mirror.by_slot[static_cast<int>(k)] = changes.added[k];
+    ASSERT_TRUE(factor.Update(changes).ok);
+    ExpectEqualsDense(factor, mirror);
+    for (auto& [slot, f] : mirror.by_slot) {
+      f = RandomFactor<3>(rng, f.first, f.second);
+      factor.SetFactor(slot, f);
+    }
+    ASSERT_TRUE(factor.Refactor());
+    ExpectEqualsDense(factor, mirror);
+
+    // Damping adds to the diagonal and goes again.
+    std::vector<double> damping(static_cast<std::size_t>(3 * n));
+    for (double& x : damping) x = Uniform(rng, 0.1, 2);
+    ASSERT_TRUE(factor.Refactor(damping));
+    factor.Solve();
+    auto dense = mirror.Dense();
+    dense.H.diagonal() += Eigen::Map<Eigen::VectorXd>(damping.data(), 3 * n);
+    const Eigen::VectorXd x = dense.H.llt().solve(dense.b);
+    const Eigen::Map<const Eigen::VectorXd> d(factor.Solution().data(), 3 * n);
+    EXPECT_LT(testing::RelativeError(d, x), kTolerance);
+    ASSERT_TRUE(factor.Refactor());
+    ExpectEqualsDense(factor, mirror);
+  }
+}
+
+TEST(BlockCholesky, SingularUpdateChangesNothing) {
+  Random rng(9);
+  BlockCholesky<6> factor;
+  Mirror<6> mirror;
+  BlockCholesky<6>::Changes changes;
+  changes.new_variables = mirror.variables = 5;
+  for (int v = 0; v < 5; ++v) {
+    changes.added.push_back(RandomFactor<6>(rng, v, -1));
+    if (v > 0) changes.added.push_back(RandomFactor<6>(rng, v - 1, v));
+  }
+  for (std::size_t k = 0; k < changes.added.size(); ++k) mirror.by_slot[static_cast<int>(k)] = changes.added[k];
+  ASSERT_TRUE(factor.Update(changes).ok);
+
+  // A new variable that nothing measures, along with other changes.
+  BlockCholesky<6>::Changes bad;
+  bad.new_variables = 1;
+  bad.added.push_back(RandomFactor<6>(rng, 0, 3));
+  bad.removed.push_back(0);
+  bad.replaced.emplace_back(1, RandomFactor<6>(rng, 1, -1));
+  bad.replaced.back().second.first = mirror.by_slot[1].first;
+  bad.replaced.back().second.second = mirror.by_slot[1].second;
+  const auto report = factor.Update(bad);
+  EXPECT_FALSE(report.ok);
+  EXPECT_EQ(report.failed_variable, 5);
+  EXPECT_EQ(factor.Variables(), 5);
+  ExpectEqualsDense(factor, mirror);
+  ExpectSoundTree(factor);
+
+  // And it goes on from there.
+  BlockCholesky<6>::Changes good;
+  good.added.push_back(RandomFactor<6>(rng, 0, 3));
+  const auto after = factor.Update(good);
+  ASSERT_TRUE(after.ok);
+  mirror.by_slot[after.added_slots[0]] = good.added[0];
+  ExpectEqualsDense(factor, mirror);
+}
+
+TEST(BlockCholesky, ThresholdBoundsTheErrorOfTheSolution) {
+  Random rng(11);
+  BlockCholesky<3> factor;
+  Mirror<3> mirror;
+  for (int v = 0; v < 60; ++v) {
+    BlockCholesky<3>::Changes changes;
+    changes.new_variables = 1;
+    changes.added.push_back(RandomFactor<3>(rng, v, -1));
+    if (v > 0) changes.added.push_back(RandomFactor<3>(rng, v - 1, v));
+    const auto report = factor.Update(changes);
+    ASSERT_TRUE(report.ok);
+    for (std::size_t k = 0; k < changes.added.size(); ++k) mirror.by_slot[report.added_slots[k]] = changes.added[k];
+    mirror.variables = v + 1;
+    factor.Solve(1e-3);
+    const auto dense = mirror.Dense();
+    const Eigen::VectorXd x = dense.H.llt().solve(dense.b);
+    const Eigen::Map<const Eigen::VectorXd> d(factor.Solution().data(), x.size());
+    // A value stays behind by at most the threshold, seen from separators that stay behind likewise.
+    EXPECT_LT((d - x).cwiseAbs().maxCoeff(), 0.1);
+  }
+}
+
+}  // namespace
+}  // namespace terse

@@ -1,0 +1,193 @@
+// The incremental solver against a dense batch system after every step.
+
+#include "terse/core/incremental_solver.h"
+
+#include <gtest/gtest.h>
+
+#include "terse/core/error.h"
+#include "testing.h"
+
+namespace terse {
+namespace {
+
+using testing::Random;
+
+template <class Pose>
+class IncrementalSolverTest : public ::testing::Test {};
+using Groups = ::testing::Types<SE2, SE3>;
+TYPED_TEST_SUITE(IncrementalSolverTest, Groups);
+
+IncrementalOptions Exact() {
+  IncrementalOptions options;
+  options.propagation_threshold = 0;
+  return options;
+}
+
+// One pose per update with all factors to earlier poses, as an online user sends them.
+template <class Pose>
+std::vector<GraphUpdate<Pose>> OnePosePerUpdate(const PoseGraph<Pose>& graph) {
+  std::vector<GraphUpdate<Pose>> updates(graph.Poses().size());
+  for (std::size_t k = 0; k < graph.Poses().size(); ++k) updates[k].poses.push_back({graph.Poses()[k].id});
+  for (const auto& node : graph.Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    const int last = std::max(graph.IndexOf(ends.first), graph.IndexOf(ends.second));
+    updates[static_cast<std::size_t>(last)].factors.push_back(node.factor);
+  }
+  return updates;
+}
+
+// Factor, solution and log-determinant equal dense ones at the solver's linearisation points; so does the estimate.
+template <class Pose>
+void ExpectEqualsDense(const IncrementalSolver<Pose>& solver) {
+  const auto dense = testing::MakeDenseSystem(solver.Graph(), solver.LinearizationPoints());
+  const Eigen::LLT<Eigen::MatrixXd> llt(dense.H);
+  ASSERT_EQ(llt.info(), Eigen::Success);
+  const Eigen::VectorXd x = llt.solve(dense.b);
+  const double log_det = 2 * llt.matrixLLT().diagonal().array().log().sum();
+  ASSERT_NEAR(solver.LogDeterminant(), log_det, 1e-9 * std::abs(log_det));
+  for (std::size_t i = 0; i < solver.LinearizationPoints().size(); ++i) {
+    const Vector<Pose::kDof> d = x.segment<Pose::kDof>(static_cast<Eigen::Index>(i) * Pose::kDof);
+    const Pose expected = solver.LinearizationPoints()[i].Retract(d);
+    // The anchor (1e8) beside informations of 10..1000 costs about four digits.
+    ASSERT_LT(expected.Local(solver.EstimateAt(static_cast<int>(i))).norm(), 1e-9);
+  }
+}
+
+TYPED_TEST(IncrementalSolverTest, EqualsDenseAfterEveryStep) {
+  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random rng(seed);
+    testing::RandomGraphOptions options;
+    options.poses = 35;
+    options.noise = 0.05;
+    options.priors = seed % 2 == 0;
+    options.id_stride = 3;
+    const auto random = testing::MakeRandomGraph<TypeParam>(rng, options);
+    IncrementalOptions incremental = Exact();
+    incremental.relinearize_interval = seed % 3 == 0 ? 4 : 1;
+    IncrementalSolver<TypeParam> solver(incremental);
+    int relinearised = 0;
+    for (auto& update : OnePosePerUpdate(random.graph)) {
+      // Now and then a factor that is not needed for connection goes again.
+      const auto& factors = solver.Graph().Factors();
+      if (rng() % 4 == 0 && factors.size() > 5) {
+        const auto& victim = factors[rng() % factors.size()];
+        const auto* f = std::get_if<RelativePoseFactor<TypeParam>>(&victim.factor);
+        if (f != nullptr && std::abs(f->from.value - f->to.value) > 3) update.removed.push_back(victim.id);
+      }
+      const auto summary = solver.Update(update);
+      relinearised += summary.variables_relinearised;
+      EXPECT_EQ(summary.factor_ids.size(), update.factors.size());
+      ExpectEqualsDense(solver);
+      if (this->HasFatalFailure()) return;
+    }
+    EXPECT_GT(relinearised, 0);
+  }
+}
+
+TYPED_TEST(IncrementalSolverTest, FinishReachesTheBatchOptimum) {
+  for (const bool priors : {false, true}) {
+    Random rng(21);
+    testing::RandomGraphOptions options;
+    options.poses = 60;
+    options.priors = priors;
+    const auto random = testing::MakeRandomGraph<TypeParam>(rng, options);
+    IncrementalSolver<TypeParam> solver(Exact());
+    for (const auto& update : OnePosePerUpdate(random.graph)) solver.Update(update);
+    const auto batch = SolveBatch(random.graph, random.truth);
+    ASSERT_TRUE(batch.Converged());
+    EXPECT_LT(solver.Chi2(), 1.01 * batch.chi2);
+    const auto finished = solver.Finish();
+    EXPECT_NEAR(finished.chi2, batch.chi2, 1e-8 * batch.chi2);
+    EXPECT_NEAR(solver.Chi2(), batch.chi2, 1e-8 * batch.chi2);
+    ExpectEqualsDense(solver);
+  }
+}
+
+TYPED_TEST(IncrementalSolverTest, FailedUpdateLeavesEverythingAsItWas) {
+  Random rng(31);
+  const auto random = testing::MakeRandomGraph<TypeParam>(rng, {12, 0.5, 0.02});
+  IncrementalSolver<TypeParam> solver(Exact());
+  for (const auto& update : OnePosePerUpdate(random.graph)) solver.Update(update);
+  const auto before = solver.Estimates();
+  const double log_det = solver.LogDeterminant();
+  const PoseId known = solver.Graph().Poses().front().id, fresh{999}, other{998};
+  const auto edge = [&](PoseId a, PoseId b) {
+    return RelativePoseFactor<TypeParam>{a, b, TypeParam(), TypeParam::Jacobian::Identity()};
+  };
+  auto indefinite = edge(known, fresh);
+  indefinite.information(0, 0) = -1;
+  auto infinite = edge(known, fresh);
+  infinite.information(0, 0) = std::numeric_limits<double>::infinity();
+
+  using Update = GraphUpdate<TypeParam>;
+  const std::vector<Update> bad = {
+      {{{known}}, {}, {}},                                        // taken
+      {{{fresh}, {fresh}}, {edge(known, fresh)}, {}},             // twice
+      {{{fresh}}, {}, {}},                                        // no value
+      {{{fresh, TypeParam()}}, {}, {}},                           // a value, but nothing measures it
+      {{{fresh}, {other}}, {edge(fresh, other)}, {}},             // two that know only each other
+      {{{fresh}}, {edge(known, known)}, {}},                      // to itself
+      {{{fresh}}, {edge(known, fresh), edge(known, other)}, {}},  // unknown end
+      {{{fresh}}, {indefinite}, {}},
+      {{{fresh}}, {infinite}, {}},
+      {{}, {}, {FactorId{12345}}},
+      {{}, {}, {FactorId{0}}},  // the only link of the first pose: the rest would float
+  };
+  for (std::size_t k = 0; k < bad.size(); ++k) {
+    SCOPED_TRACE("bad update " + std::to_string(k));
+    if (k + 1 == bad.size()) {
+      IncrementalSolver<TypeParam> two;
+      two.Update({{{known}, {fresh}}, {edge(known, fresh)}, {}});
+      EXPECT_THROW(two.Update(bad[k]), NumericalError);
+      EXPECT_EQ(two.Graph().Factors().size(), 1U);
+      continue;
+    }
+    EXPECT_ANY_THROW(solver.Update(bad[k]));
+    EXPECT_EQ(solver.Graph().Poses().size(), before.size());
+    EXPECT_EQ(solver.Graph().Factors().size(), random.graph.Factors().size());
+    EXPECT_EQ(solver.LogDeterminant(), log_det);
+    for (std::size_t i = 0; i < before.size(); ++i) {
+      EXPECT_EQ(before[i].Translation(), solver.EstimateAt(static_cast<int>(i)).Translation());
+    }
+  }
+  solver.Update({{{fresh}}, {edge(known, fresh)}, {}});
+  ExpectEqualsDense(solver);
+}
+
+TYPED_TEST(IncrementalSolverTest, PriorsReplaceTheAnchorAndItComesBack) {
+  Random rng(41);
+  IncrementalSolver<TypeParam> solver(Exact());
+  const auto prior = [](std::int64_t id, double x) {
+    PositionPriorFactor<TypeParam> f;
+    f.pose = PoseId{id};
+    f.p_world.setZero();
+    f.p_world[0] = x;
+    f.information.setIdentity();
+    return f;
+  };
+  GraphUpdate<TypeParam> update;
+  for (int k = 0; k < 6; ++k) {
+    update.poses.push_back({PoseId{k}});
+    if (k > 0) {
+      update.factors.push_back(RelativePoseFactor<TypeParam>{
+          PoseId{k - 1}, PoseId{k}, testing::RandomMotion<TypeParam>(rng, 1, 0.3), TypeParam::Jacobian::Identity()});
+    }
+  }
+  solver.Update(update);
+  std::vector<FactorId> ids;
+  for (int k = 0; k < 6; k += 2) {
+    const auto summary = solver.Update({{}, {prior(k, 10.0 + k)}, {}});
+    ids.push_back(summary.factor_ids[0]);
+    ExpectEqualsDense(solver);
+  }
+  // Three position priors and no anchor: the map has moved to them.
+  EXPECT_GT(solver.Finish().T_world_body[0].Translation().norm(), 5);
+  for (const FactorId id : ids) {
+    solver.Update({{}, {}, {id}});
+    ExpectEqualsDense(solver);
+  }
+}
+
+}  // namespace
+}  // namespace terse
