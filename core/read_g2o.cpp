@@ -37,7 +37,7 @@ constexpr int PoseFieldCount(int dimension) { return dimension == 2 ? 3 : 7; }
 
 template <class Pose>
 typename Pose::Jacobian InformationFields(const Fields& fields, int first, RotationInformation meaning) {
-  const typename Pose::Jacobian information = SymmetricFields<Pose::kDof>(fields, first);
+  typename Pose::Jacobian information = SymmetricFields<Pose::kDof>(fields, first);
   if constexpr (Pose::kDim == 3) return InformationFromFile(information, meaning);
   return information;
 }

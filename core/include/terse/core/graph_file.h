@@ -33,14 +33,20 @@ struct GraphFile {
   long repaired_informations = 0;
 };
 
-// Poses appear in the order of their VERTEX lines, then of their first mention in an edge.
+// Poses appear in the order of their VERTEX lines, then of their first mention in an edge; factors in that of the file.
+//
+// g2o: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX, EDGE_PRIOR_SE2, EDGE_PRIOR_SE2_XY, EDGE_SE3_PRIOR
+// (with the identity for its sensor offset) and our own EDGE_PRIOR_SE3_XYZ (id x y z, upper triangle of 3x3).
+// TORO: VERTEX2, EDGE2, VERTEX3, EDGE3. iSAM: ODOMETRY, EDGE2, EDGE3, with square-root information.
+// Refused besides: a graph in pieces, several poses without an edge, a second vertex line of a pose.
 GraphFile ReadGraph(const std::string& path, const ReadOptions& options = {});
 
 // Written to a temporary file in the same folder, then renamed. Throws FileError.
 template <class Pose>
 void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path,
               RotationInformation rotation_information = RotationInformation::kQuaternion);
-// TORO has no priors and no FIX: FileError if the graph holds any.
+// TORO has no priors and no FIX: FileError if the graph holds any. Its roll, pitch, yaw give a rotation in space back
+// to 1e-12, everything else to the last bit.
 template <class Pose>
 void WriteToro(const PoseGraph<Pose>& graph, const std::string& path);
 
