@@ -100,6 +100,22 @@ TEST(TrajectoryTest, ProjectsMatricesOfFewDigitsToTheNearestRotation) {
   }
 }
 
+// R P with P symmetric and positive definite is nearest to R: the polar decomposition.
+TEST(TrajectoryTest, ProjectionIsThePolarFactor) {
+  Random random(39);
+  for (int i = 0; i < 100; ++i) {
+    const SO3 R = SO3::Exp(random.RotationVector(random.Angle()));
+    const Matrix<3, 3> S = random.Information<3>();
+    const Matrix<3, 3> M = R.Rotation() * (Matrix<3, 3>::Identity() + 4e-4 / S.cwiseAbs().maxCoeff() * S);
+    std::ostringstream line;
+    line.precision(17);
+    for (int row = 0; row < 3; ++row) line << M(row, 0) << ' ' << M(row, 1) << ' ' << M(row, 2) << " 0 ";
+    const TestFile file("trajectory_polar.txt", line.str());
+    const SO3 read = ReadTrajectory(file.Path()).T_world_body.at(0).Rotation();
+    EXPECT_LT((read.Inverse() * R).Log().norm(), 1e-14);
+  }
+}
+
 TEST(TrajectoryTest, AcceptsCommentsBlankLinesAndAnyLineEnd) {
   const TestFile file("trajectory_loose.txt",
                       "# stamp x y z qx qy qz qw\r\n\r\n  1 1 2 3 0 0 0 1 \r\n\n\t#end\n+2.5e0 4 5 6 0 0 1\t0");
