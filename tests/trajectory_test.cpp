@@ -5,7 +5,8 @@
 #include <gtest/gtest.h>
 
 #include <clocale>
-#include <limits>
+#include <locale>
+#include <sstream>
 
 #include "shared_data.h"
 #include "terse/core/graph_file.h"
@@ -180,16 +181,29 @@ TEST(TrajectoryTest, RefusesFoldersAndMissingFiles) {
   EXPECT_THROW(WriteKitti(uneven, ::testing::TempDir() + "terse_uneven"), std::invalid_argument);
 }
 
+struct CommaForPoint : std::numpunct<char> {
+  char do_decimal_point() const override { return ','; }
+  char do_thousands_sep() const override { return '.'; }
+  std::string do_grouping() const override { return "\3"; }
+};
+
 TEST(TrajectoryTest, DoesNotDependOnTheLocale) {
-  // Where no such locale is installed this repeats the tests above.
+  const std::locale before = std::locale::global(std::locale(std::locale::classic(), new CommaForPoint));
+  // The C locale too, where the machine has one with a comma.
   for (const char* name : {"de_DE.UTF-8", "fr_FR.UTF-8"}) {
     if (std::setlocale(LC_ALL, name) != nullptr) break;
   }
   const Trajectory written = RandomTrajectory(3, 36);
-  const TestFile file("trajectory_locale.txt");
-  WriteTum(written, file.Path());
-  EXPECT_EQ(ReadTrajectory(file.Path()).stamps, written.stamps);
+  const TestFile tum("trajectory_locale.tum"), kitti("trajectory_locale.kitti");
+  WriteTum(written, tum.Path());
+  WriteKitti(written, kitti.Path());
+  const Trajectory tum_read = ReadTrajectory(tum.Path()), kitti_read = ReadTrajectory(kitti.Path());
+  std::locale::global(before);
   std::setlocale(LC_ALL, "C");
+  EXPECT_EQ(tum_read.stamps, written.stamps);
+  EXPECT_EQ(kitti_read.T_world_body.back().Translation(), written.T_world_body.back().Translation());
+  EXPECT_EQ(tum.Content().find(','), std::string::npos);
+  EXPECT_EQ(kitti.Content().find(','), std::string::npos);
 }
 
 TEST(TrajectoryTest, LiftKeepsThePlane) {
