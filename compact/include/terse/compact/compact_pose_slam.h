@@ -12,9 +12,11 @@
 // A pose enters the solver when it is kept, so dropping one costs nothing. Until then its covariance and
 // cross-covariances follow exactly from those of the pose its chain hangs on.
 //
-// AddPose is atomic: if it throws (also out of the registration callback), the state is as before. Not thread-safe.
+// AddPose throws std::invalid_argument or NumericalError and leaves the state as before. What the registration callback
+// throws passes through; links accepted before it, and the pose with them, stay. Not thread-safe.
 
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <unordered_map>
@@ -23,6 +25,7 @@
 #include "terse/compact/distance.h"
 #include "terse/compact/uncertain_pose.h"
 #include "terse/core/incremental_solver.h"
+#include "terse/covariance/selected_inverse.h"
 
 namespace terse {
 
@@ -104,9 +107,9 @@ class CompactPoseSlam {
   Decision AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration);
 
   // The kept poses and links.
-  const IncrementalSolver<Pose>& Solver() const { return solver_; }
+  const IncrementalSolver<Pose>& Solver() const { return *solver_; }
   // Iterates the kept graph to its optimum.
-  BatchResult<Pose> Finish() { return solver_.Finish(); }
+  BatchResult<Pose> Finish() { return solver_->Finish(); }
   // All poses in order of arrival.
   std::vector<RecoveredPose<Pose>> Trajectory(Recovery recovery = Recovery::kV2) const;
   // Of any pose seen, kept or dropped, in the present map (as kV1).
@@ -120,35 +123,38 @@ class CompactPoseSlam {
   struct Seen {
     PoseId id, base;
     UncertainPose<Pose> T_base_pose;
-    Pose T_world_body_when_dropped;
-    PoseId next_kept;  // the next pose kept on its chain, if has_next
-    UncertainPose<Pose> T_base_next;
-    bool has_next = false;
+    Pose T_world_body_when_seen;
+    int previous = -1;  // the pose its odometry comes from, in history_
     bool kept = true;
+    // A dropped pose's chain as it ends at the next kept pose.
+    std::optional<PoseId> next_kept;
+    UncertainPose<Pose> T_base_next;
   };
   // How far off, root mean square, the relative pose of a kept pose to the newest can be (an upper bound).
   struct Bound {
     double metres = 0, radians = 0;
   };
-  struct Current;  // the pose at hand
+  struct Evaluated;  // a candidate with its covariance
+  struct Current;    // the pose at hand
 
-  std::vector<Candidate> Search(const Current& current, std::vector<Bound>& bounds) const;
-  std::vector<int> Prefilter(const Current& current, const std::vector<Bound>& bounds) const;
-  void Evaluate(const Current& current, const std::vector<int>& poses, std::vector<Candidate>* candidates,
-                std::vector<Bound>* bounds) const;
-  void CloseLoops(Current& current, Decision& decision, const Registration<Pose>& registration);
+  Current Start(const CompactInput<Pose>& input) const;
+  std::vector<Bound> PropagateBounds(const Current& current) const;
+  std::vector<int> Prefilter(const Current& current) const;
+  std::vector<Evaluated> Evaluate(Current& current, const std::vector<int>& poses) const;
+  void CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
+                  const Registration<Pose>& registration);
   void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
   void Judge(const Current& current, Decision& decision) const;
-  void Keep(Current& current, const std::vector<Factor<Pose>>& links);
-  std::vector<Bound> PropagateBounds(const UncertainPose<Pose>& odometry, bool continues) const;
-  Current Start(const CompactInput<Pose>& input) const;
-  void Remember(const Current& current, bool kept);
+  void Keep(Current& current, std::vector<Factor<Pose>> links);
+  void Remember(const Current& current);
   std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
                                                    PoseId current) const;
+  const Seen& Find(PoseId id) const;
 
   CompactOptions<Pose> options_;
   double deviations_ = 0;  // of the prefilter
-  IncrementalSolver<Pose> solver_;
+  std::unique_ptr<IncrementalSolver<Pose>> solver_;
+  std::unique_ptr<SelectedInverse<Pose::kDof>> inverse_;
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<Bound> bounds_;                    // by solver pose index, to the newest pose

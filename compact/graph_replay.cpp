@@ -1,0 +1,114 @@
+#include "terse/compact/graph_replay.h"
+
+#include <algorithm>
+
+#include "terse/core/arrival.h"
+
+namespace terse {
+namespace {
+
+using std::size_t;
+constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+std::pair<std::int64_t, std::int64_t> Pair(PoseId a, PoseId b) { return std::minmax(a.value, b.value); }
+
+}  // namespace
+
+template <class Pose>
+GraphReplay<Pose>::GraphReplay(const PoseGraph<Pose>& graph) {
+  std::vector<int> rank(graph.Poses().size(), -1);
+  const auto latest = [&](const Factor<Pose>& factor) {
+    const FactorPoses ends = PosesOf(factor);
+    return std::max(rank[At(graph.IndexOf(ends.first))], rank[At(graph.IndexOf(ends.second))]);
+  };
+  const auto steps = ArrivalSteps(graph, ArrivalUnit::kPose);
+  for (const ArrivalStep& step : steps) {
+    for (const int p : step.poses) {
+      const auto& node = graph.Poses()[At(p)];
+      rank[At(p)] = static_cast<int>(inputs_.size());
+      CompactInput<Pose> input;
+      input.id = node.id;
+      input.T_world_body = node.T_world_body;
+      input.fixed = node.fixed && node.T_world_body.has_value();
+      input.linkable.emplace();
+      inputs_.push_back(std::move(input));
+    }
+  }
+  // Each factor belongs to the later of its poses.
+  std::vector<std::vector<const RelativePoseFactor<Pose>*>> edges(inputs_.size());
+  for (const ArrivalStep& step : steps) {
+    for (const int k : step.factors) {
+      const Factor<Pose>& factor = graph.Factors()[At(k)].factor;
+      const size_t owner = At(latest(factor));
+      if (const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
+        edges[owner].push_back(edge);
+      } else {
+        inputs_[owner].priors.push_back(factor);
+      }
+    }
+  }
+  for (size_t k = 0; k < inputs_.size(); ++k) {
+    const auto earlier = [&](const RelativePoseFactor<Pose>* edge) {
+      return std::min(rank[At(graph.IndexOf(edge->from))], rank[At(graph.IndexOf(edge->to))]);
+    };
+    const auto odometry = std::max_element(edges[k].begin(), edges[k].end(),
+                                           [&](const auto* a, const auto* b) { return earlier(a) < earlier(b); });
+    if (odometry == edges[k].end()) continue;  // the first pose
+    inputs_[k].odometry = **odometry;
+    for (const auto* edge : edges[k]) {
+      if (edge == *odometry) continue;
+      inputs_[k].linkable->push_back(edge->from == inputs_[k].id ? edge->to : edge->from);
+      waiting_[Pair(edge->from, edge->to)].push_back(static_cast<int>(links_.size()));
+      links_.push_back(*edge);
+    }
+  }
+  for (auto& [pair, list] : waiting_) std::reverse(list.begin(), list.end());
+}
+
+template <class Pose>
+Registration<Pose> GraphReplay<Pose>::AsRegistration() {
+  return [this](PoseId candidate, PoseId current) -> std::optional<RelativePoseFactor<Pose>> {
+    const auto it = waiting_.find(Pair(candidate, current));
+    if (it == waiting_.end() || it->second.empty()) return std::nullopt;
+    const RelativePoseFactor<Pose>& link = links_[At(it->second.back())];
+    it->second.pop_back();
+    return link;
+  };
+}
+
+template <class Pose>
+Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const Vector<3>& view_axis) const {
+  Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Zero();
+  const auto include = [&](const RelativePoseFactor<Pose>& edge) {
+    for (const PoseId first : {edge.from, edge.to}) {
+      const UncertainPose<Pose> seen = SeenFrom(first, edge);
+      range = range.cwiseMax(ComputeDisplacement<Pose>(seen, view_axis).mean.cwiseAbs());
+    }
+  };
+  for (const auto& link : links_) include(link);
+  for (const auto& input : inputs_) {
+    if (links_.empty() && input.odometry) include(*input.odometry);
+  }
+  return range.cwiseMax(1e-3);
+}
+
+template <class Pose>
+typename Pose::Jacobian GraphReplay<Pose>::LinkCovariance() const {
+  typename Pose::Jacobian sum = Pose::Jacobian::Zero();
+  double count = 0;
+  const auto include = [&](const RelativePoseFactor<Pose>& edge) {
+    sum += SeenFrom(edge.from, edge).covariance;
+    ++count;
+  };
+  for (const auto& link : links_) include(link);
+  for (const auto& input : inputs_) {
+    if (links_.empty() && input.odometry) include(*input.odometry);
+  }
+  if (count == 0) return Pose::Jacobian::Identity();
+  return sum / count;
+}
+
+template class GraphReplay<SE2>;
+template class GraphReplay<SE3>;
+
+}  // namespace terse

@@ -1,0 +1,37 @@
+#pragma once
+// A stored graph as the source of a compact run: its poses in order of arrival, its edges as the registration.
+
+#include <map>
+
+#include "terse/compact/compact_pose_slam.h"
+
+namespace terse {
+
+template <class Pose>
+class GraphReplay {
+ public:
+  // Throws std::invalid_argument if the graph is empty or not connected.
+  explicit GraphReplay(const PoseGraph<Pose>& graph);
+
+  // In order of arrival. Odometry is the edge to the latest earlier pose; the other edges are links.
+  const std::vector<CompactInput<Pose>>& Inputs() const { return inputs_; }
+  int LinksOffered() const { return static_cast<int>(links_.size()); }
+
+  // The edge between the two, each edge once: a second call gives the next of several. Refers to this object.
+  Registration<Pose> AsRegistration();
+
+  // Per dimension, the largest displacement that any link measures, in either direction (of the odometry, if there are no links).
+  Vector<Displacement<Pose>::kSize> LinkRange(const Vector<3>& view_axis = {0, 0, 1}) const;
+  // Mean covariance of the links (of the odometry, if there are none).
+  typename Pose::Jacobian LinkCovariance() const;
+
+ private:
+  std::vector<CompactInput<Pose>> inputs_;
+  std::vector<RelativePoseFactor<Pose>> links_;
+  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>> waiting_;  // {smaller id, larger id} -> links, last first
+};
+
+extern template class GraphReplay<SE2>;
+extern template class GraphReplay<SE3>;
+
+}  // namespace terse
