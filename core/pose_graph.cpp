@@ -4,6 +4,7 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <locale>
 #include <sstream>
 #include <stdexcept>
 
@@ -30,6 +31,7 @@ std::string FindDefectIn(const std::string& name, const Measurement& measurement
   if (aligned.llt().info() != Eigen::Success) {
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, N, N>> eigen(aligned, Eigen::EigenvaluesOnly);
     std::ostringstream smallest;
+    smallest.imbue(std::locale::classic());
     smallest << eigen.eigenvalues()[0];
     return name + ": the information is not positive definite, its smallest eigenvalue is " + smallest.str();
   }

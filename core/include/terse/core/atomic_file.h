@@ -2,6 +2,7 @@
 // A file that appears whole or not at all.
 
 #include <fstream>
+#include <sstream>
 #include <string>
 
 #include "terse/core/error.h"
@@ -10,6 +11,9 @@ namespace terse {
 
 // Writes to a temporary neighbour of `path`; Commit() flushes and renames it into place. Destroyed without
 // Commit (an exception, Ctrl-C handled by the caller), it removes the temporary. Throws FileError.
+// A replaced file keeps its permissions; a symbolic link stays one and its target is replaced. What is no regular
+// file (a terminal, a pipe) is written directly; what is meant for /dev/stdout leaves by the open descriptor at
+// Commit().
 class AtomicFile {
  public:
   explicit AtomicFile(const std::string& path);
@@ -21,7 +25,16 @@ class AtomicFile {
   void Commit();
 
  private:
-  std::string path_, temporary_path_;
+  void OpenTemporary();
+  bool WriteToDescriptor();
+  void Discard() noexcept;
+
+  std::string path_;            // as the caller named it, for messages
+  std::string target_path_;     // links resolved
+  std::string temporary_path_;  // empty: written directly
+  int descriptor_ = -1;         // of /dev/stdout and the like
+  std::stringbuf held_back_;    // what goes there
+  int slot_ = -1;               // in the table of RemoveUncommittedFiles
   std::ofstream stream_;
 };
 

@@ -1,0 +1,149 @@
+#include "terse/core/graph_file.h"
+
+#include <algorithm>
+
+#include "read_graph.h"
+
+namespace terse {
+namespace {
+
+constexpr TagLayout kLayouts[] = {
+    // Fields after the tag.
+    {"EDGE_SE2", TagFamily::kG2o, 2, TagKind::kEdge, 11},                   // from to x y theta, 6 entries
+    {"EDGE_SE3:QUAT", TagFamily::kG2o, 3, TagKind::kEdge, 30},              // from to x y z qx qy qz qw, 21 entries
+    {"VERTEX_SE2", TagFamily::kG2o, 2, TagKind::kVertex, 4},                // id x y theta
+    {"VERTEX_SE3:QUAT", TagFamily::kG2o, 3, TagKind::kVertex, 8},           // id x y z qx qy qz qw
+    {"EDGE2", TagFamily::kToroOrIsam, 2, TagKind::kEdge, 11},               // from to x y theta, 6 entries
+    {"EDGE3", TagFamily::kToroOrIsam, 3, TagKind::kEdge, 29},               // from to x y z roll pitch yaw, 21 entries
+    {"ODOMETRY", TagFamily::kIsam, 2, TagKind::kEdge, 11},                  // as EDGE2
+    {"VERTEX2", TagFamily::kToro, 2, TagKind::kVertex, 4},                  // id x y theta
+    {"VERTEX3", TagFamily::kToro, 3, TagKind::kVertex, 7},                  // id x y z roll pitch yaw
+    {"FIX", TagFamily::kG2o, 0, TagKind::kFix, 0},                          // id ...
+    {"EDGE_PRIOR_SE2", TagFamily::kG2o, 2, TagKind::kPosePrior, 10},        // id x y theta, 6 entries
+    {"EDGE_PRIOR_SE2_XY", TagFamily::kG2o, 2, TagKind::kPositionPrior, 6},  // id x y, 3 entries
+    {"EDGE_SE3_PRIOR", TagFamily::kG2o, 3, TagKind::kPosePrior, 30},        // id parameter, pose, 21 entries
+    {"EDGE_PRIOR_SE3_XYZ", TagFamily::kG2o, 3, TagKind::kPositionPrior, 10},  // id x y z, 6 entries
+    {"PARAMS_SE3OFFSET", TagFamily::kG2o, 0, TagKind::kOffset, 8},            // id, pose
+};
+
+const TagLayout* FindLayout(std::string_view tag) {
+  const auto* end = std::end(kLayouts);
+  const auto* it = std::find_if(std::begin(kLayouts), end, [&](const TagLayout& l) { return l.tag == tag; });
+  return it == end ? nullptr : it;
+}
+
+bool IsTag(std::string_view text) {
+  const char c = text.front();
+  return (c >= 'A' && c <= 'Z') || (c >= 'a' && c <= 'z') || c == '_';
+}
+
+struct Classified {
+  std::vector<GraphLine> known;
+  std::map<std::string, long> skipped_tags;
+};
+
+FileError NotAGraph(const TextFile& file, const std::vector<TextLine>& lines) {
+  std::string cause = "expected a g2o, TORO or iSAM graph; ";
+  if (lines.empty()) return FileError(file.Path(), 0, cause + "the file holds comments and blank lines only");
+  Fields fields(file.Path());
+  fields.Split(lines.front());
+  cause += "the first line reads " + Quoted(lines.front().text);
+  const bool is_row_of_numbers = (fields.Count() == 8 || fields.Count() == 12) && IsNumber(fields.Text(0));
+  if (is_row_of_numbers) cause += ", which looks like a trajectory (" + std::to_string(fields.Count()) + " numbers)";
+  return fields.Error(cause);
+}
+
+Classified Classify(const TextFile& file) {
+  const std::vector<TextLine> lines = file.Lines();
+  Classified out;
+  out.known.reserve(lines.size());
+  const TextLine* odd_line = nullptr;
+  bool is_graph = false;
+  const TagLayout* layout = nullptr;
+  for (const TextLine& line : lines) {
+    const std::string_view tag = FirstField(line.text);
+    if (layout == nullptr || layout->tag != tag) layout = FindLayout(tag);
+    if (layout != nullptr) {
+      out.known.push_back({line, layout});
+      is_graph = is_graph || layout->kind != TagKind::kOffset;
+    }
+    if (layout == nullptr && !IsTag(tag) && odd_line == nullptr) odd_line = &line;
+    if (layout == nullptr || layout->kind == TagKind::kOffset) ++out.skipped_tags[std::string(tag)];
+  }
+  if (!is_graph) throw NotAGraph(file, lines);
+  if (odd_line != nullptr) {
+    throw FileError(file.Path(), odd_line->number,
+                    "expected a tag, the line starts with " + Quoted(FirstField(odd_line->text)));
+  }
+  return out;
+}
+
+std::string Describe(const GraphLine& line) {
+  return std::string(line.layout->tag) + " (line " + std::to_string(line.line.number) + ")";
+}
+
+// 2 or 3. Throws if both occur. FIX alone counts as 2D, and fails later for want of poses.
+int Dimension(const std::string& path, const std::vector<GraphLine>& lines) {
+  const GraphLine* first = nullptr;
+  for (const GraphLine& line : lines) {
+    if (line.layout->dimension == 0) continue;
+    if (first == nullptr) first = &line;
+    if (line.layout->dimension == first->layout->dimension) continue;
+    throw FileError(path, line.line.number,
+                    "the file mixes 2D and 3D: " + std::string(line.layout->tag) + " after " + Describe(*first));
+  }
+  return first == nullptr ? 2 : first->layout->dimension;
+}
+
+// The family of all lines; kToroOrIsam if there are EDGE2 or EDGE3 lines only. Throws if families are mixed.
+TagFamily Family(const std::string& path, const std::vector<GraphLine>& lines) {
+  const GraphLine* first = nullptr;
+  for (const GraphLine& line : lines) {
+    if (line.layout->kind == TagKind::kOffset) continue;
+    if (first == nullptr) first = &line;
+    const TagFamily a = first->layout->family, b = line.layout->family;
+    if (a == b) continue;
+    if (a == TagFamily::kG2o || b == TagFamily::kG2o || (a != TagFamily::kToroOrIsam && b != TagFamily::kToroOrIsam)) {
+      throw FileError(path, line.line.number,
+                      "the file mixes formats: " + std::string(line.layout->tag) + " after " + Describe(*first));
+    }
+    if (a == TagFamily::kToroOrIsam) first = &line;
+  }
+  return first->layout->family;
+}
+
+template <class Pose>
+GraphFile Read(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options) {
+  const TagFamily family = Family(path, lines);
+  if (family == TagFamily::kG2o) return ReadG2o<Pose>(path, lines, options);
+  std::vector<GraphLine> edges_and_vertices = lines;  // without g2o's parameters
+  edges_and_vertices.erase(std::remove_if(edges_and_vertices.begin(), edges_and_vertices.end(),
+                                          [](const GraphLine& line) { return line.layout->kind == TagKind::kOffset; }),
+                           edges_and_vertices.end());
+  const bool is_isam =
+      family == TagFamily::kIsam || (family == TagFamily::kToroOrIsam && LooksLikeIsam<Pose>(path, edges_and_vertices));
+  return is_isam ? ReadIsam<Pose>(path, edges_and_vertices, options)
+                 : ReadToro<Pose>(path, edges_and_vertices, options);
+}
+
+}  // namespace
+
+const char* Name(GraphFormat format) {
+  switch (format) {
+    case GraphFormat::kG2o: return "g2o";
+    case GraphFormat::kToro: return "TORO";
+    case GraphFormat::kIsam: return "iSAM";
+  }
+  return "";
+}
+
+GraphFile ReadGraph(const std::string& path, const ReadOptions& options) {
+  const TextFile file(path);
+  Classified lines = Classify(file);
+  GraphFile out =
+      Dimension(path, lines.known) == 2 ? Read<SE2>(path, lines.known, options) : Read<SE3>(path, lines.known, options);
+  out.skipped_tags = std::move(lines.skipped_tags);
+  return out;
+}
+
+}  // namespace terse

@@ -1,0 +1,35 @@
+#pragma once
+// Files of a test: named after it, so that tests can run at once, and removed at its end.
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cstdio>
+#include <fstream>
+#include <sstream>
+#include <string>
+
+namespace terse {
+
+class TestFile {
+ public:
+  explicit TestFile(const std::string& name)
+      : path_(testing::TempDir() + "terse_" + std::to_string(::getpid()) + "_" + name) {}
+  TestFile(const std::string& name, const std::string& content) : TestFile(name) {
+    std::ofstream(path_, std::ios::binary) << content;
+  }
+  ~TestFile() { std::remove(path_.c_str()); }
+  TestFile(const TestFile&) = delete;
+  TestFile& operator=(const TestFile&) = delete;
+  const std::string& Path() const { return path_; }
+  std::string Content() const {
+    std::ostringstream out;
+    out << std::ifstream(path_, std::ios::binary).rdbuf();
+    return out.str();
+  }
+
+ private:
+  std::string path_;
+};
+
+}  // namespace terse
