@@ -134,11 +134,16 @@ void AddGenerateCommand(CLI::App& app) {
       ->check(CLI::IsMember({"ellipse", "ellipse-n", "sphere", "torus", "manhattan", "garage"}))
       ->type_name("NAME");
   command->add_option("--poses", options->generate.poses, "Number of poses instead of the scene's own")
-      ->check(CLI::Range(2L, 1000000000L));
+      ->check(CLI::Range(2L, 1000000000L).description(""))
+      ->type_name("N");
   command->add_option("--laps", options->generate.laps, "Laps of ellipse-n")
-      ->check(CLI::Range(1, 1000000))
+      ->check(CLI::Range(1, 1000000).description(""))
+      ->type_name("N")
       ->capture_default_str();
-  command->add_option("--seed", options->generate.seed, "Same seed, same data")->capture_default_str();
+  command->add_option("--seed", options->generate.seed, "Same seed, same data")
+      ->check(CLI::NonNegativeNumber.description(""))
+      ->type_name("N")
+      ->capture_default_str();
   command->add_option("--output", options->output, "The g2o file, instead of standard output")->type_name("FILE");
   command->add_option("--ground-truth", options->ground_truth, "The true trajectory, TUM with pose ids for stamps")
       ->type_name("FILE");

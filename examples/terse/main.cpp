@@ -1,6 +1,7 @@
 // The terse command. Exit codes: 0 done, 1 bad input, 2 usage, 3 numerical failure, 130 interrupted.
 
-#include <unistd.h>
+
+#include <algorithm>
 #include <csignal>
 #include <iostream>
 #include <new>
@@ -21,24 +22,29 @@ int Fail(const std::string& cause, int code) {
   return code;
 }
 
-// What was probably meant by an argument that `app`, or the subcommand it belongs to, does not know.
-std::string Suggestion(CLI::App& app) {
-  CLI::App* active = &app;
+// The first argument that `app`, or the subcommand it belongs to, does not know, and what was probably meant.
+std::string DescribeUnknown(CLI::App& app) {
   const std::vector<CLI::App*> parsed = app.get_subcommands();
-  if (!parsed.empty()) active = parsed.front();
-  const std::vector<std::string> unknown = active->remaining(true);
+  CLI::App* active = parsed.empty() ? &app : parsed.front();
+  std::vector<std::string> unknown = active->remaining(true);
+  // Options first: what follows an unknown option is its value, not a mistake of its own.
+  std::stable_partition(unknown.begin(), unknown.end(), [](const std::string& text) { return text[0] == '-'; });
   if (unknown.empty()) return "";
   const std::string mistyped = unknown.front().substr(0, unknown.front().find('='));
+  const bool is_option = mistyped[0] == '-';
   std::vector<std::string> names;
-  if (mistyped.rfind('-', 0) == 0) {
+  if (is_option) {
     for (const CLI::Option* option : active->get_options()) {
       for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
     }
   } else {
     for (const CLI::App* subcommand : active->get_subcommands({})) names.push_back(subcommand->get_name());
   }
+  const std::string kind = is_option       ? "unknown option "
+                           : names.empty() ? "unexpected argument "
+                                           : "unknown subcommand ";
   const std::string nearest = terse::NearestName(mistyped, names);
-  return nearest.empty() ? "" : "Did you mean " + nearest + "?\n";
+  return kind + mistyped + (nearest.empty() ? "" : "; did you mean " + nearest + "?");
 }
 
 int Run(int argc, char** argv) {
@@ -55,8 +61,9 @@ int Run(int argc, char** argv) {
     return 0;
   } catch (const CLI::ParseError& error) {
     if (error.get_exit_code() == 0) return app.exit(error);  // --help, --version
-    Fail(error.what(), 2);
-    std::cerr << Suggestion(app) << "Run with --help for more information.\n";
+    const std::string unknown = DescribeUnknown(app);
+    Fail(unknown.empty() ? error.what() : unknown, 2);
+    std::cerr << "Run with --help for more information.\n";
     return 2;
   }
 }
