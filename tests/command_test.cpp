@@ -97,7 +97,7 @@ TEST_F(Command, UsageErrorsExitWith2) {
   ExpectFailure("generate donut", 2, "donut");
   ExpectFailure("generate torus --poses 1", 2, "--poses");
   ExpectFailure("generate torus --poses many", 2, "many");
-  ExpectFailure("generate torus --seed -1", 2, "--seed");
+  ExpectFailure("generate torus --seed -1", 2, "-1 is not a whole number");
   ExpectFailure("evaluate a b --align sim3", 2, "sim3");
   ExpectFailure("info a --rotation-information degrees", 2, "degrees");
   ExpectFailure("convert a b c", 2, "unexpected argument c");
@@ -128,7 +128,7 @@ TEST_F(Command, InfoWithoutValuesHasNoChi2) {
   const auto json = Json("info edges.g2o --json");
   EXPECT_EQ(json["initial_values"], false);
   EXPECT_TRUE(json["chi2"].is_null());
-  EXPECT_EQ(json["duplicate_edges"], 1);
+  EXPECT_EQ(json["duplicates"], 1);
   EXPECT_EQ(json["skipped_tags"]["MYTAG"], 1);
 }
 

@@ -141,7 +141,9 @@ void AddGenerateCommand(CLI::App& app) {
       ->type_name("N")
       ->capture_default_str();
   command->add_option("--seed", options->generate.seed, "Same seed, same data")
-      ->check(CLI::NonNegativeNumber.description(""))
+      ->check([](const std::string& text) {
+        return text.find_first_not_of("0123456789") == std::string::npos ? "" : text + " is not a whole number from 0";
+      })
       ->type_name("N")
       ->capture_default_str();
   command->add_option("--output", options->output, "The g2o file, instead of standard output")->type_name("FILE");

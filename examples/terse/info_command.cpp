@@ -34,7 +34,7 @@ nlohmann::ordered_json Describe(const PoseGraph<Pose>& graph) {
   json["poses"] = graph.Poses().size();
   json["edges"] = edges;
   json["loop_edges"] = loop_edges;
-  json["duplicate_edges"] = duplicates;
+  json["duplicates"] = duplicates;
   json["priors"] = static_cast<long>(graph.Factors().size()) - edges;
   json["fixed_poses"] = fixed;
   json["components"] = ConnectedComponents(graph).size();

@@ -1,6 +1,5 @@
 // The terse command. Exit codes: 0 done, 1 bad input, 2 usage, 3 numerical failure, 130 interrupted.
 
-
 #include <algorithm>
 #include <csignal>
 #include <iostream>
