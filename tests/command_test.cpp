@@ -98,6 +98,7 @@ TEST_F(Command, UsageErrorsExitWith2) {
   ExpectFailure("generate torus --poses 1", 2, "--poses");
   ExpectFailure("generate torus --poses many", 2, "many");
   ExpectFailure("generate torus --seed -1", 2, "-1 is not a whole number");
+  ExpectFailure("generate torus --seed 18446744073709551616", 2, "--seed");
   ExpectFailure("evaluate a b --align sim3", 2, "sim3");
   ExpectFailure("info a --rotation-information degrees", 2, "degrees");
   ExpectFailure("convert a b c", 2, "unexpected argument c");

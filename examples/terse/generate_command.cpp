@@ -1,4 +1,6 @@
+#include <charconv>
 #include <cmath>
+#include <cstdint>
 #include <iostream>
 #include <memory>
 #include <optional>
@@ -141,8 +143,11 @@ void AddGenerateCommand(CLI::App& app) {
       ->type_name("N")
       ->capture_default_str();
   command->add_option("--seed", options->generate.seed, "Same seed, same data")
-      ->check([](const std::string& text) {
-        return text.find_first_not_of("0123456789") == std::string::npos ? "" : text + " is not a whole number from 0";
+      ->check([](const std::string& text) -> std::string {
+        std::uint64_t seed = 0;
+        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), seed);
+        if (error == std::errc() && end == text.data() + text.size()) return "";
+        return text + " is not a whole number from 0 to 2^64 - 1";
       })
       ->type_name("N")
       ->capture_default_str();
