@@ -1,0 +1,61 @@
+#include <algorithm>
+#include <iostream>
+
+#include "commands.h"
+
+namespace terse {
+namespace {
+
+// Levenshtein's distance.
+std::size_t EditDistance(const std::string& a, const std::string& b) {
+  std::vector<std::size_t> row(b.size() + 1);
+  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    std::size_t diagonal = row[0];
+    row[0] = i;
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      const std::size_t substituted = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
+      diagonal = row[j];
+      row[j] = std::min({substituted, row[j] + 1, row[j - 1] + 1});
+    }
+  }
+  return row[b.size()];
+}
+
+}  // namespace
+
+void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
+  const std::map<std::string, RotationInformation> meanings = {{"quaternion", RotationInformation::kQuaternion},
+                                                               {"radians", RotationInformation::kRadians}};
+  subcommand
+      .add_option_function<std::string>(
+          "--rotation-information",
+          [&options, meanings](const std::string& name) { options.rotation_information = meanings.at(name); },
+          "What the rotation part of EDGE_SE3:QUAT information in the input means: quaternion (g2o's definition, the "
+          "default) or radians (as GTSAM and Ceres read it)")
+      ->check(CLI::IsMember({"quaternion", "radians"}))
+      ->type_name("NAME");
+  subcommand.add_flag("--repair-information", options.repair_information,
+                      "Clamp the eigenvalues of information matrices that are not positive definite");
+}
+
+void FlushOutput() {
+  if (!std::cout.flush()) throw FileError("(standard output)", 0, "cannot write");
+}
+
+void PrintJson(const nlohmann::ordered_json& json) {
+  std::cout << json.dump(2) << '\n';
+  FlushOutput();
+}
+
+std::string NearestName(const std::string& mistyped, const std::vector<std::string>& names) {
+  std::string nearest;
+  std::size_t best = std::max<std::size_t>(2, mistyped.size() / 3) + 1;
+  for (const std::string& name : names) {
+    const std::size_t distance = EditDistance(mistyped, name);
+    if (distance < best) best = distance, nearest = name;
+  }
+  return nearest;
+}
+
+}  // namespace terse

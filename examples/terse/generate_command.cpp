@@ -1,0 +1,162 @@
+#include <charconv>
+#include <cmath>
+#include <cstdint>
+#include <iostream>
+#include <memory>
+#include <optional>
+
+#include "commands.h"
+#include "progress.h"
+#include "terse/core/atomic_file.h"
+#include "terse/core/generate.h"
+#include "terse/core/trajectory.h"
+
+namespace terse {
+namespace {
+
+struct GenerateCommandOptions {
+  std::string scene, output, ground_truth;
+  GenerateOptions generate;
+  bool quiet = false;
+};
+
+// Numbers with a space before each.
+void Append(std::string& line, std::initializer_list<double> values) {
+  for (const double value : values) (line += ' ') += Shortest(value);
+}
+
+template <int N>
+void AppendUpperTriangle(std::string& line, const Matrix<N, N>& information) {
+  for (int i = 0; i < N; ++i) {
+    for (int j = i; j < N; ++j) Append(line, {information(i, j)});
+  }
+}
+
+void AppendPose(std::string& line, const SE2& T) {
+  Append(line, {T.Translation().x(), T.Translation().y(), T.Theta()});
+}
+void AppendPose(std::string& line, const SE3& T) {
+  const Quaternion& q = T.Rotation().Unit();
+  Append(line, {T.Translation().x(), T.Translation().y(), T.Translation().z(), q.x(), q.y(), q.z(), q.w()});
+}
+
+std::string VertexLine(PoseId id, const SE2& T) {
+  std::string line = "VERTEX_SE2 " + std::to_string(id.value);
+  AppendPose(line, T);
+  return line += '\n';
+}
+std::string VertexLine(PoseId id, const SE3& T) {
+  std::string line = "VERTEX_SE3:QUAT " + std::to_string(id.value);
+  AppendPose(line, T);
+  return line += '\n';
+}
+
+template <class Pose>
+std::string EdgeLine(const RelativePoseFactor<Pose>& edge) {
+  std::string line = Pose::kDim == 2 ? "EDGE_SE2 " : "EDGE_SE3:QUAT ";
+  line += std::to_string(edge.from.value) + ' ' + std::to_string(edge.to.value);
+  AppendPose(line, edge.T_from_to);
+  if constexpr (Pose::kDim == 2) {
+    AppendUpperTriangle<3>(line, edge.information);
+  } else {
+    AppendUpperTriangle<6>(line, InformationToFile(edge.information, RotationInformation::kQuaternion));
+  }
+  return line += '\n';
+}
+
+// The dead-reckoned pose after one more measurement, with nine decimals as all that the generator gives out: rounding
+// at every step keeps the last bits, in which machines may differ, from adding up.
+double Rounded(double value) { return std::round(value * 1e9) / 1e9; }
+SE2 Reckon(const SE2& T_world_from, const SE2& T_from_to) {
+  const SE2 T = T_world_from * T_from_to;
+  return SE2(Rounded(T.Translation().x()), Rounded(T.Translation().y()), Rounded(T.Theta()));
+}
+SE3 Reckon(const SE3& T_world_from, const SE3& T_from_to) {
+  const SE3 T = T_world_from * T_from_to;
+  const Quaternion& q = T.Rotation().Unit();
+  const Vector<3>& p = T.Translation();
+  return SE3(SO3(Quaternion(Rounded(q.w()), Rounded(q.x()), Rounded(q.y()), Rounded(q.z()))),
+             Vector<3>(Rounded(p.x()), Rounded(p.y()), Rounded(p.z())));
+}
+
+SE3 InSpace(const SE2& T) { return Lift(T); }
+SE3 InSpace(const SE3& T) { return T; }
+
+// Writes each pose and edge as it comes. A vertex gets its dead-reckoned value, as the public sets have it.
+template <class Pose>
+void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ostream* ground_truth) {
+  Progress progress("generate", options.generate.poses, options.quiet);
+  Pose T_world_body_reckoned;
+  GenerateSink<Pose> sink;
+  sink.pose = [&](PoseId id, const Pose& T_world_body_true) {
+    if (id.value == 0) {
+      T_world_body_reckoned = T_world_body_true;
+      graph << VertexLine(id, T_world_body_reckoned);
+    }
+    if (ground_truth != nullptr) {
+      std::string line = std::to_string(id.value);
+      AppendPose(line, InSpace(T_world_body_true));
+      *ground_truth << line << '\n';
+    }
+    progress.Update(id.value);
+  };
+  sink.edge = [&](const RelativePoseFactor<Pose>& edge) {
+    if (edge.to.value - edge.from.value == 1) {
+      T_world_body_reckoned = Reckon(T_world_body_reckoned, edge.T_from_to);
+      graph << VertexLine(edge.to, T_world_body_reckoned);
+    }
+    graph << EdgeLine(edge);
+  };
+  Generate(options.generate, sink);
+}
+
+void RunGenerate(GenerateCommandOptions options) {
+  options.generate.scene = SceneFromName(options.scene).value();
+  std::optional<AtomicFile> graph, ground_truth;
+  if (!options.output.empty()) graph.emplace(options.output);
+  if (!options.ground_truth.empty()) ground_truth.emplace(options.ground_truth);
+  std::ostream& graph_stream = graph ? graph->Stream() : std::cout;
+  std::ostream* ground_truth_stream = ground_truth ? &ground_truth->Stream() : nullptr;
+  IsPlanar(options.generate.scene) ? Stream<SE2>(options, graph_stream, ground_truth_stream)
+                                   : Stream<SE3>(options, graph_stream, ground_truth_stream);
+  graph ? graph->Commit() : FlushOutput();
+  if (ground_truth) ground_truth->Commit();
+}
+
+}  // namespace
+
+void AddGenerateCommand(CLI::App& app) {
+  auto options = std::make_shared<GenerateCommandOptions>();
+  CLI::App* command = app.add_subcommand("generate", "Make a synthetic data set with exact ground truth");
+  command
+      ->add_option("SCENE", options->scene,
+                   "ellipse (170 poses), ellipse-n (laps of an ellipse), sphere (2500), torus (5000), manhattan (2D, "
+                   "3500) or garage (1661)")
+      ->required()
+      ->check(CLI::IsMember({"ellipse", "ellipse-n", "sphere", "torus", "manhattan", "garage"}))
+      ->type_name("NAME");
+  command->add_option("--poses", options->generate.poses, "Number of poses instead of the scene's own")
+      ->check(CLI::Range(2L, 1000000000L).description(""))
+      ->type_name("N");
+  command->add_option("--laps", options->generate.laps, "Laps of ellipse-n")
+      ->check(CLI::Range(1, 1000000).description(""))
+      ->type_name("N")
+      ->capture_default_str();
+  command->add_option("--seed", options->generate.seed, "Same seed, same data")
+      ->check([](const std::string& text) -> std::string {
+        std::uint64_t seed = 0;
+        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), seed);
+        if (error == std::errc() && end == text.data() + text.size()) return "";
+        return text + " is not a whole number from 0 to 2^64 - 1";
+      })
+      ->type_name("N")
+      ->capture_default_str();
+  command->add_option("--output", options->output, "The g2o file, instead of standard output")->type_name("FILE");
+  command->add_option("--ground-truth", options->ground_truth, "The true trajectory, TUM with pose ids for stamps")
+      ->type_name("FILE");
+  command->add_flag("--quiet", options->quiet, "No progress line");
+  command->footer("Example: terse generate manhattan --poses 10000 --output city.g2o --ground-truth city.tum");
+  command->callback([options] { RunGenerate(*options); });
+}
+
+}  // namespace terse

@@ -1,0 +1,84 @@
+// The terse command. Exit codes: 0 done, 1 bad input, 2 usage, 3 numerical failure, 130 interrupted.
+
+#include <algorithm>
+#include <csignal>
+#include <iostream>
+#include <new>
+#include <stdexcept>
+
+#include "commands.h"
+#include "terse/core/atomic_file.h"
+
+namespace {
+
+extern "C" void RemoveFilesAndExit(int signal) {
+  terse::RemoveUncommittedFiles();
+  _exit(signal == SIGPIPE ? 128 + SIGPIPE : 130);
+}
+
+int Fail(const std::string& cause, int code) {
+  std::cerr << "terse: error: " << cause << '\n';
+  return code;
+}
+
+// The first argument that `app`, or the subcommand it belongs to, does not know, and what was probably meant.
+std::string DescribeUnknown(CLI::App& app) {
+  const std::vector<CLI::App*> parsed = app.get_subcommands();
+  CLI::App* active = parsed.empty() ? &app : parsed.front();
+  std::vector<std::string> unknown = active->remaining(true);
+  // Options first: what follows an unknown option is its value, not a mistake of its own.
+  std::stable_partition(unknown.begin(), unknown.end(), [](const std::string& text) { return text[0] == '-'; });
+  if (unknown.empty()) return "";
+  const std::string mistyped = unknown.front().substr(0, unknown.front().find('='));
+  const bool is_option = mistyped[0] == '-';
+  std::vector<std::string> names;
+  if (is_option) {
+    for (const CLI::Option* option : active->get_options()) {
+      for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
+    }
+  } else {
+    for (const CLI::App* subcommand : active->get_subcommands({})) names.push_back(subcommand->get_name());
+  }
+  const std::string kind = is_option       ? "unknown option "
+                           : names.empty() ? "unexpected argument "
+                                           : "unknown subcommand ";
+  const std::string nearest = terse::NearestName(mistyped, names);
+  return kind + mistyped + (nearest.empty() ? "" : "; did you mean " + nearest + "?");
+}
+
+int Run(int argc, char** argv) {
+  CLI::App app("Compact pose SLAM: pose graphs that keep only what carries information.", "terse");
+  app.set_version_flag("--version", "terse " TERSE_VERSION);
+  app.require_subcommand(1);
+  app.footer("Example: terse generate sphere --output sphere.g2o && terse info sphere.g2o");
+  terse::AddInfoCommand(app);
+  terse::AddConvertCommand(app);
+  terse::AddEvaluateCommand(app);
+  terse::AddGenerateCommand(app);
+  try {
+    app.parse(argc, argv);
+    return 0;
+  } catch (const CLI::ParseError& error) {
+    if (error.get_exit_code() == 0) return app.exit(error);  // --help, --version
+    const std::string unknown = DescribeUnknown(app);
+    Fail(unknown.empty() ? error.what() : unknown, 2);
+    std::cerr << "Run with --help for more information.\n";
+    return 2;
+  }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGPIPE}) std::signal(signal, RemoveFilesAndExit);
+  std::ios::sync_with_stdio(false);
+  try {
+    return Run(argc, argv);
+  } catch (const terse::NumericalError& error) {
+    return Fail(error.what(), 3);
+  } catch (const std::bad_alloc&) {
+    return Fail("out of memory", 1);
+  } catch (const std::exception& error) {  // FileError, std::invalid_argument
+    return Fail(error.what(), 1);
+  }
+}

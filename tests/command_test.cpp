@@ -1,0 +1,271 @@
+// Runs the built terse command as a user would.
+
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <thread>
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Outcome {
+  int exit_code = -1;
+  std::string out, err;
+};
+
+std::string Slurp(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+// Each test works in a folder of its own, removed afterwards.
+class Command : public testing::Test {
+ protected:
+  void SetUp() override {
+    std::string name = (fs::temp_directory_path() / "terse_command_XXXXXX").string();
+    ASSERT_NE(mkdtemp(name.data()), nullptr);
+    folder_ = name;
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  // `arguments` go through the shell, run in the test's folder.
+  Outcome Run(const std::string& arguments) const {
+    const std::string line = "cd '" + folder_.string() + "' && '" TERSE_COMMAND "' " + arguments + " > .out 2> .err";
+    const int status = std::system(line.c_str());
+    return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, Slurp(folder_ / ".out"), Slurp(folder_ / ".err")};
+  }
+  nlohmann::json Json(const std::string& arguments) const {
+    const Outcome outcome = Run(arguments);
+    EXPECT_EQ(outcome.exit_code, 0) << outcome.err;
+    return nlohmann::json::parse(outcome.out);
+  }
+  void Write(const std::string& name, const std::string& text) const { std::ofstream(folder_ / name) << text; }
+  std::string Read(const std::string& name) const { return Slurp(folder_ / name); }
+  bool Exists(const std::string& name) const { return fs::exists(folder_ / name); }
+  void ExpectFailure(const std::string& arguments, int exit_code, const std::string& cause) const {
+    const Outcome outcome = Run(arguments);
+    EXPECT_EQ(outcome.exit_code, exit_code) << arguments << '\n' << outcome.err;
+    EXPECT_EQ(outcome.err.rfind("terse: error: ", 0), 0u) << outcome.err;
+    EXPECT_NE(outcome.err.find(cause), std::string::npos) << arguments << '\n' << outcome.err;
+    EXPECT_EQ(outcome.out, "") << arguments;
+  }
+  // Files other than the captured output.
+  long FileCount() const {
+    long count = 0;
+    for (const auto& entry : fs::directory_iterator(folder_)) count += entry.path().filename().string()[0] != '.';
+    return count;
+  }
+
+  fs::path folder_;
+};
+
+constexpr char kSquare[] =
+    "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 1.5\nVERTEX_SE2 2 1 1 3\n"
+    "EDGE_SE2 0 1 1 0 1.5 100 0 0 100 0 400\nEDGE_SE2 1 2 1 0 1.5 100 0 0 100 0 400\n"
+    "EDGE_SE2 0 2 1 1 3.1 100 0 0 100 0 400\n";
+
+TEST_F(Command, HelpAndVersion) {
+  const Outcome help = Run("--help");
+  EXPECT_EQ(help.exit_code, 0);
+  for (const char* name : {"info", "convert", "evaluate", "generate"}) {
+    EXPECT_NE(help.out.find(name), std::string::npos);
+    const Outcome own = Run(std::string(name) + " --help");
+    EXPECT_EQ(own.exit_code, 0);
+    EXPECT_NE(own.out.find("Example: terse " + std::string(name)), std::string::npos) << own.out;
+  }
+  EXPECT_EQ(Run("--version").out, "terse " TERSE_VERSION "\n");
+}
+
+TEST_F(Command, UsageErrorsExitWith2) {
+  ExpectFailure("", 2, "subcommand is required");
+  ExpectFailure("inof x", 2, "unknown subcommand inof; did you mean info?");
+  ExpectFailure("info", 2, "FILE is required");
+  ExpectFailure("info a.g2o --jsn", 2, "unknown option --jsn; did you mean --json?");
+  ExpectFailure("generate torus --pose 4", 2, "unknown option --pose; did you mean --poses?");
+  ExpectFailure("generate torus --outptu=x.g2o", 2, "did you mean --output?");
+  ExpectFailure("generate donut", 2, "donut");
+  ExpectFailure("generate torus --poses 1", 2, "--poses");
+  ExpectFailure("generate torus --poses many", 2, "many");
+  ExpectFailure("generate torus --seed -1", 2, "-1 is not a whole number");
+  ExpectFailure("generate torus --seed 18446744073709551616", 2, "--seed");
+  ExpectFailure("evaluate a b --align sim3", 2, "sim3");
+  ExpectFailure("info a --rotation-information degrees", 2, "degrees");
+  ExpectFailure("convert a b c", 2, "unexpected argument c");
+}
+
+TEST_F(Command, InfoCounts) {
+  Write("square.g2o", kSquare);
+  const auto json = Json("info square.g2o --json");
+  EXPECT_EQ(json["format"], "g2o");
+  EXPECT_EQ(json["dimension"], 2);
+  EXPECT_EQ(json["poses"], 3);
+  EXPECT_EQ(json["edges"], 3);
+  EXPECT_EQ(json["loop_edges"], 1);
+  EXPECT_EQ(json["priors"], 0);
+  EXPECT_EQ(json["components"], 1);
+  EXPECT_EQ(json["initial_values"], true);
+  EXPECT_EQ(json["file_bytes"], sizeof(kSquare) - 1);
+  // By hand: edge 0-1 fits; 1-2 is off by (sin 1.5 - 1, cos 1.5) in x, y; 0-2 by -0.1 rad.
+  const double expected = 100 * (2 - 2 * std::sin(1.5)) + 400 * 0.01;
+  EXPECT_NEAR(json["chi2"].get<double>(), expected, 1e-9 * expected);
+  const Outcome table = Run("info square.g2o");
+  EXPECT_EQ(table.exit_code, 0);
+  EXPECT_NE(table.out.find("loop edges              1\n"), std::string::npos) << table.out;
+}
+
+TEST_F(Command, InfoWithoutValuesHasNoChi2) {
+  Write("edges.g2o", "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nMYTAG 3\n");
+  const auto json = Json("info edges.g2o --json");
+  EXPECT_EQ(json["initial_values"], false);
+  EXPECT_TRUE(json["chi2"].is_null());
+  EXPECT_EQ(json["duplicates"], 1);
+  EXPECT_EQ(json["skipped_tags"]["MYTAG"], 1);
+}
+
+TEST_F(Command, BadInputExitsWith1AndNamesTheLine) {
+  Write("bad.g2o", "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 zero 0\n");
+  Write("indefinite.g2o", "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1\n");
+  Write("empty.g2o", "");
+  ExpectFailure("info missing.g2o", 1, "missing.g2o: ");
+  ExpectFailure("info bad.g2o", 1, "bad.g2o:2: ");
+  ExpectFailure("info indefinite.g2o", 1, "indefinite.g2o:3: ");
+  ExpectFailure("info .", 1, ".: ");
+  ExpectFailure("info empty.g2o", 1, "empty.g2o: ");
+  ExpectFailure("evaluate missing.tum bad.g2o", 1, "missing.tum: ");
+  EXPECT_EQ(Json("info indefinite.g2o --repair-information --json")["repaired_informations"], 1);
+}
+
+TEST_F(Command, RotationInformationChangesChi2) {
+  const std::string pose = " 0 0 0 0 0 0 1\n";
+  Write("turn.g2o", "VERTEX_SE3:QUAT 0" + pose + "VERTEX_SE3:QUAT 1" + pose +
+                        "EDGE_SE3:QUAT 0 1 0 0 0 0.6 0 0 0.8 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n");
+  const double quaternion = Json("info turn.g2o --json")["chi2"];
+  const double radians = Json("info turn.g2o --rotation-information radians --json")["chi2"];
+  EXPECT_NEAR(radians, std::pow(2 * std::asin(0.6), 2), 1e-12);
+  EXPECT_NEAR(quaternion, radians / 4, 1e-12);
+}
+
+TEST_F(Command, ConvertGoesThereAndBack) {
+  Write("square.g2o", kSquare);
+  EXPECT_EQ(Run("convert square.g2o square.graph").exit_code, 0);
+  EXPECT_EQ(Run("convert square.graph back.g2o").exit_code, 0);
+  EXPECT_EQ(Json("info square.graph --json")["format"], "TORO");
+  EXPECT_EQ(Json("info square.g2o --json")["chi2"], Json("info back.g2o --json")["chi2"]);
+  EXPECT_EQ(Run("convert square.g2o square.tum").exit_code, 0);
+  EXPECT_EQ(Run("convert square.g2o a.kitti").exit_code, 0);
+  EXPECT_EQ(Run("convert square.tum b.txt").exit_code, 0);
+  EXPECT_EQ(Read("square.tum").substr(0, 18), "0 0 0 0 0 0 0 1\n1 ");
+  const std::string kitti = Read("a.kitti");
+  EXPECT_EQ(std::count(kitti.begin(), kitti.end(), '\n'), 3);
+}
+
+TEST_F(Command, ConvertRefusesAndLeavesNothing) {
+  Write("square.g2o", kSquare);
+  Write("edges.g2o", "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n");
+  Write("path.tum", "0 0 0 0 0 0 0 1\n");
+  ExpectFailure("convert square.g2o square.xyz", 1, "extension");
+  ExpectFailure("convert square.g2o nowhere/square.tum", 1, "nowhere");
+  ExpectFailure("convert edges.g2o edges.tum", 1, "pose 0 has no value");
+  ExpectFailure("convert path.tum path.g2o", 1, "no edges");
+  EXPECT_EQ(FileCount(), 3);
+}
+
+TEST_F(Command, EvaluateOfATrajectoryWithItselfIsZero) {
+  ASSERT_EQ(Run("generate sphere --poses 400 --output s.g2o --ground-truth s.tum").exit_code, 0);
+  const auto same = Json("evaluate s.tum s.tum --kitti --json");
+  EXPECT_EQ(same["poses"], 400);
+  // 50 m, about 1e-14 relative, and the square root of it in the angle of a trace.
+  for (const char* key : {"ate", "rpe", "rpe_all"}) {
+    EXPECT_NEAR(same[key]["translation_m"].get<double>(), 0, 1e-9) << key;
+    EXPECT_NEAR(same[key]["rotation_deg"].get<double>(), 0, 1e-5) << key;
+  }
+  EXPECT_GT(same["kitti"]["segments"], 0);
+  for (const char* align : {"se3", "se2", "none"}) {
+    const auto noisy = Json("evaluate s.g2o s.tum --json --align " + std::string(align));
+    EXPECT_GT(noisy["ate"]["translation_m"], 0.1);
+    EXPECT_GT(noisy["rpe_all"]["rotation_deg"], 0.1);
+    EXPECT_FALSE(noisy.contains("kitti"));
+  }
+  const Outcome table = Run("evaluate s.g2o s.tum --kitti");
+  EXPECT_EQ(table.exit_code, 0);
+  for (const char* word : {"400 matched", "ATE", "RPE", "KITTI"}) {
+    EXPECT_NE(table.out.find(word), std::string::npos) << table.out;
+  }
+}
+
+TEST_F(Command, KittiErrorOfAShortPathIsNull) {
+  ASSERT_EQ(Run("generate ellipse --output e.g2o --ground-truth e.tum").exit_code, 0);
+  const auto json = Json("evaluate e.g2o e.tum --kitti --json");
+  EXPECT_TRUE(json["kitti"]["t_rel_percent"].is_null());
+  EXPECT_NE(Run("evaluate e.g2o e.tum --kitti").out.find("shorter than 100 m"), std::string::npos);
+}
+
+TEST_F(Command, GenerateMakesReadableGraphs) {
+  for (const std::string scene : {"ellipse", "ellipse-n", "sphere", "torus", "manhattan", "garage"}) {
+    const std::string arguments = "generate " + scene + (scene == "ellipse" ? "" : " --poses 300");
+    const Outcome outcome = Run(arguments + " --output g.g2o --ground-truth g.tum");
+    ASSERT_EQ(outcome.exit_code, 0) << outcome.err;
+    EXPECT_EQ(outcome.out + outcome.err, "") << "no progress where standard error is no terminal";
+    const auto json = Json("info g.g2o --json");
+    EXPECT_EQ(json["poses"], scene == "ellipse" ? 170 : 300);
+    EXPECT_EQ(json["dimension"], scene == "manhattan" ? 2 : 3);
+    EXPECT_EQ(json["components"], 1);
+    EXPECT_EQ(json["initial_values"], true);
+    EXPECT_GT(json["loop_edges"], 0) << scene;
+    EXPECT_EQ(Json("evaluate g.g2o g.tum --json")["poses"], json["poses"]);
+    EXPECT_EQ(Run(arguments).out, Read("g.g2o")) << "standard output is the default, same seed same bytes";
+    EXPECT_NE(Run(arguments + " --seed 2").out, Read("g.g2o"));
+  }
+}
+
+TEST_F(Command, VerticesAreDeadReckoned) {
+  // Fewer poses than the least gap of a link: odometry only, which the vertices fit. Rounding to nine decimals
+  // leaves residuals of 1e-9, weighted with at most 2500.
+  ASSERT_EQ(Run("generate manhattan --poses 10 --output g.g2o").exit_code, 0);
+  EXPECT_LT(Json("info g.g2o --json")["chi2"], 1e-12);
+}
+
+TEST_F(Command, AFullDiskIsAnError) {
+  if (!fs::exists("/dev/full")) GTEST_SKIP() << "this system has no /dev/full";
+  const std::string line = "'" TERSE_COMMAND "' generate ellipse > /dev/full 2> '" + (folder_ / "e").string() + "'";
+  const int status = std::system(line.c_str());
+  EXPECT_EQ(WEXITSTATUS(status), 1);
+  EXPECT_NE(Read("e").find("cannot write"), std::string::npos);
+}
+
+// Interrupted while it writes, the command leaves neither a half-written file nor a temporary.
+TEST_F(Command, AnInterruptLeavesNoFile) {
+  for (const int signal : {SIGINT, SIGTERM}) {
+    const std::string output = (folder_ / "g.g2o").string();
+    const pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      execl(TERSE_COMMAND, "terse", "generate", "manhattan", "--poses", "10000000", "--output", output.c_str(),
+            static_cast<char*>(nullptr));
+      _exit(127);
+    }
+    // Wait until it writes; it cannot be done before, with so many poses.
+    while (FileCount() == 0 && waitpid(child, nullptr, WNOHANG) == 0) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
+    kill(child, signal);
+    int status = 0;
+    ASSERT_EQ(waitpid(child, &status, 0), child);
+    EXPECT_TRUE(WIFEXITED(status));
+    EXPECT_EQ(WEXITSTATUS(status), 130);
+    EXPECT_EQ(FileCount(), 0);
+  }
+}
+
+}  // namespace
