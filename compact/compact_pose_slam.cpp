@@ -172,31 +172,42 @@ std::vector<int> CompactPoseSlam<Pose>::Prefilter(const Current& current) const 
   return out;
 }
 
-// The distance test and the gain of the given kept poses, exactly; those in range come back. Tightens the bounds of all.
+// T_pose_current for each of the given kept poses (S, Eqs. 16-17).
+template <class Pose>
+std::vector<UncertainPose<Pose>> CompactPoseSlam<Pose>::Displacements(const Current& current,
+                                                                      const std::vector<int>& poses) const {
+  constexpr int B = Pose::kDof;
+  using Jacobian = typename Pose::Jacobian;
+  std::vector<UncertainPose<Pose>> out;
+  if (poses.empty()) return out;
+  const int base = solver_->Graph().IndexOf(current.base);
+  const Jacobian F = current.T_base_current.T_a_b.Inverse().Adjoint();
+  const MatrixX column = CovarianceBlocks(solver_->Factor(), poses, {base});
+  const Jacobian Sigma_nn = F * inverse_->Diagonal(base) * F.transpose() + current.T_base_current.covariance;
+  for (size_t k = 0; k < poses.size(); ++k) {
+    if (poses[k] == base) {
+      out.push_back(current.T_base_current);
+      continue;
+    }
+    const Jacobian Sigma_in = column.template middleRows<B>(static_cast<Eigen::Index>(k) * B) * F.transpose();
+    const Pose T_pose_current = solver_->EstimateAt(poses[k]).Inverse() * current.T_world_body;
+    out.push_back(
+        {T_pose_current, RelativeCovariance<Pose>(T_pose_current, inverse_->Diagonal(poses[k]), Sigma_in, Sigma_nn)});
+  }
+  return out;
+}
+
+// The distance test and the gain of the given kept poses; those in range come back. Tightens the bounds of all.
 template <class Pose>
 std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(
     Current& current, const std::vector<int>& poses) const {
-  constexpr int B = Pose::kDof;
-  using Jacobian = typename Pose::Jacobian;
   std::vector<Evaluated> out;
-  if (poses.empty()) return out;
-  const auto& factor = solver_->Factor();
-  const int base = solver_->Graph().IndexOf(current.base);
-  const Jacobian F = current.T_base_current.T_a_b.Inverse().Adjoint();
-  const MatrixX column = CovarianceBlocks(factor, poses, {base});
-  const Jacobian Sigma_nn = F * inverse_->Diagonal(base) * F.transpose() + current.T_base_current.covariance;
+  const std::vector<UncertainPose<Pose>> displacements = Displacements(current, poses);
   for (size_t k = 0; k < poses.size(); ++k) {
     Evaluated e;
     e.pose = poses[k];
+    e.T_pose_current = displacements[k];
     e.record.id = solver_->Graph().Poses()[At(e.pose)].id;
-    if (e.pose == base) {
-      e.T_pose_current = current.T_base_current;
-    } else {
-      const Jacobian Sigma_in = column.template middleRows<B>(static_cast<Eigen::Index>(k) * B) * F.transpose();
-      e.T_pose_current.T_a_b = solver_->EstimateAt(e.pose).Inverse() * current.T_world_body;
-      e.T_pose_current.covariance =
-          RelativeCovariance<Pose>(e.T_pose_current.T_a_b, inverse_->Diagonal(e.pose), Sigma_in, Sigma_nn);
-    }
     if (At(e.pose) < current.bounds.size()) {
       current.bounds[At(e.pose)] = {TranslationSpread<Pose>(e.T_pose_current.covariance),
                                     RotationSpread<Pose>(e.T_pose_current.covariance)};
@@ -204,10 +215,19 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
     const auto displacement = ComputeDisplacement<Pose>(e.T_pose_current, options_.view_axis);
     e.record.probability = RangeProbabilities<Pose>(displacement, options_.range).minCoeff();
     if (e.record.probability <= options_.probability) continue;
-    e.record.gain = InformationGain<B>(e.T_pose_current.covariance, options_.link_covariance);
+    e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, options_.link_covariance);
     out.push_back(e);
   }
   return out;
+}
+
+template <class Pose>
+std::vector<UncertainPose<Pose>> CompactPoseSlam<Pose>::Predict(const CompactInput<Pose>& input,
+                                                                const std::vector<PoseId>& from) const {
+  if (history_.empty()) throw std::invalid_argument("nothing is known before the first pose");
+  std::vector<int> poses;
+  for (const PoseId id : from) poses.push_back(solver_->Graph().IndexOf(id));
+  return Displacements(Start(input), poses);
 }
 
 template <class Pose>

@@ -1,6 +1,7 @@
 #include "terse/compact/graph_replay.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "terse/core/arrival.h"
 
@@ -9,6 +10,9 @@ namespace {
 
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+// A sensor that sees anything sees it from a little to the side too.
+constexpr double kLeastAngle = 0.5;
 
 std::pair<std::int64_t, std::int64_t> Pair(PoseId a, PoseId b) { return std::minmax(a.value, b.value); }
 
@@ -78,18 +82,20 @@ Registration<Pose> GraphReplay<Pose>::AsRegistration() {
 
 template <class Pose>
 Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const Vector<3>& view_axis) const {
-  Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Zero();
+  double reach = 0, angle = kLeastAngle;
   const auto include = [&](const RelativePoseFactor<Pose>& edge) {
-    for (const PoseId first : {edge.from, edge.to}) {
-      const UncertainPose<Pose> seen = SeenFrom(first, edge);
-      range = range.cwiseMax(ComputeDisplacement<Pose>(seen, view_axis).mean.cwiseAbs());
-    }
+    const auto displacement = ComputeDisplacement<Pose>({edge.T_from_to}, view_axis).mean;
+    reach = std::max(reach, displacement.template head<Pose::kDim>().norm());
+    angle = std::max(angle, std::abs(displacement[Pose::kDim]));
   };
   for (const auto& link : links_) include(link);
   for (const auto& input : inputs_) {
     if (links_.empty() && input.odometry) include(*input.odometry);
   }
-  return range.cwiseMax(1e-3);
+  Vector<Displacement<Pose>::kSize> range;
+  range.setConstant(std::max(reach, 1e-3));
+  range[Pose::kDim] = angle;
+  return range;
 }
 
 template <class Pose>

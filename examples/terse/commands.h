@@ -15,9 +15,36 @@ void AddInfoCommand(CLI::App& app);
 void AddConvertCommand(CLI::App& app);
 void AddEvaluateCommand(CLI::App& app);
 void AddGenerateCommand(CLI::App& app);
+void AddSolveCommand(CLI::App& app);
+void AddCompactCommand(CLI::App& app);
 
 // --rotation-information and --repair-information, for every subcommand that reads a graph.
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
+
+// A warning on standard error that says how many matrices --repair-information clamped.
+void ReportRepairs(const GraphFile& file, const std::string& path);
+
+// An option that takes one of a few names; the present value of `target` is the default.
+template <class Value>
+CLI::Option* AddChoice(CLI::App& subcommand, const std::string& option, Value& target,
+                       const std::vector<std::pair<std::string, Value>>& choices, const std::string& description) {
+  std::vector<std::string> names;
+  std::string list, preset;
+  for (const auto& [name, value] : choices) {
+    names.push_back(name);
+    list += (list.empty() ? "" : "|") + name;
+    if (value == target) preset = name;
+  }
+  const auto set = [&target, choices](const std::string& name) {
+    for (const auto& [known, value] : choices) {
+      if (known == name) target = value;
+    }
+  };
+  return subcommand.add_option_function<std::string>(option, set, description)
+      ->check(CLI::IsMember(names))
+      ->type_name(list)
+      ->default_str(preset);
+}
 
 // Indented, on standard output. Numbers that are not finite become null.
 void PrintJson(const nlohmann::ordered_json& json);

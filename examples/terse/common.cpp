@@ -25,18 +25,18 @@ std::size_t EditDistance(const std::string& a, const std::string& b) {
 }  // namespace
 
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
-  const std::map<std::string, RotationInformation> meanings = {{"quaternion", RotationInformation::kQuaternion},
-                                                               {"radians", RotationInformation::kRadians}};
-  subcommand
-      .add_option_function<std::string>(
-          "--rotation-information",
-          [&options, meanings](const std::string& name) { options.rotation_information = meanings.at(name); },
-          "What the rotation part of EDGE_SE3:QUAT information in the input means: quaternion (g2o's definition, the "
-          "default) or radians (as GTSAM and Ceres read it)")
-      ->check(CLI::IsMember({"quaternion", "radians"}))
-      ->type_name("NAME");
+  AddChoice(subcommand, "--rotation-information", options.rotation_information,
+            {{"quaternion", RotationInformation::kQuaternion}, {"radians", RotationInformation::kRadians}},
+            "What the rotation part of EDGE_SE3:QUAT information in the input means: of the quaternion's vector part "
+            "(g2o's definition) or of the rotation vector (as GTSAM and Ceres read it)");
   subcommand.add_flag("--repair-information", options.repair_information,
                       "Clamp the eigenvalues of information matrices that are not positive definite");
+}
+
+void ReportRepairs(const GraphFile& file, const std::string& path) {
+  if (file.repaired_informations == 0) return;
+  std::cerr << "terse: warning: " << path << ": " << file.repaired_informations
+            << " information matrices were not positive definite and have been clamped\n";
 }
 
 void FlushOutput() {

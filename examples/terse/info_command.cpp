@@ -1,8 +1,8 @@
 #include <filesystem>
 #include <iostream>
-#include <set>
 
 #include "commands.h"
+#include "report.h"
 
 namespace terse {
 namespace {
@@ -15,16 +15,8 @@ struct InfoOptions {
 
 template <class Pose>
 nlohmann::ordered_json Describe(const PoseGraph<Pose>& graph) {
-  long edges = 0, loop_edges = 0, duplicates = 0, without_value = 0, fixed = 0;
-  std::set<std::pair<int, int>> joined;
-  for (const auto& node : graph.Factors()) {
-    const FactorPoses ends = PosesOf(node.factor);
-    if (ends.count < 2) continue;
-    const auto [low, high] = std::minmax({graph.IndexOf(ends.first), graph.IndexOf(ends.second)});
-    ++edges;
-    if (high - low > 1) ++loop_edges;
-    if (!joined.insert({low, high}).second) ++duplicates;
-  }
+  long without_value = 0, fixed = 0;
+  const EdgeCounts counts = CountEdges(graph);
   for (const auto& pose : graph.Poses()) {
     without_value += !pose.T_world_body;
     fixed += pose.fixed;
@@ -32,10 +24,10 @@ nlohmann::ordered_json Describe(const PoseGraph<Pose>& graph) {
   nlohmann::ordered_json json;
   json["dimension"] = Pose::kDim;
   json["poses"] = graph.Poses().size();
-  json["edges"] = edges;
-  json["loop_edges"] = loop_edges;
-  json["duplicates"] = duplicates;
-  json["priors"] = static_cast<long>(graph.Factors().size()) - edges;
+  json["edges"] = counts.edges;
+  json["loop_edges"] = counts.loop_edges;
+  json["duplicates"] = counts.duplicates;
+  json["priors"] = static_cast<long>(graph.Factors().size()) - counts.edges;
   json["fixed_poses"] = fixed;
   json["components"] = ConnectedComponents(graph).size();
   json["initial_values"] = without_value == 0;

@@ -52,6 +52,8 @@ int Run(int argc, char** argv) {
   app.require_subcommand(1);
   app.footer("Example: terse generate sphere --output sphere.g2o && terse info sphere.g2o");
   terse::AddInfoCommand(app);
+  terse::AddSolveCommand(app);
+  terse::AddCompactCommand(app);
   terse::AddConvertCommand(app);
   terse::AddEvaluateCommand(app);
   terse::AddGenerateCommand(app);

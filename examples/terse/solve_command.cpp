@@ -1,2 +1,188 @@
+#include <iostream>
+
 #include "commands.h"
-namespace terse {}
+#include "progress.h"
+#include "report.h"
+#include "terse/core/arrival.h"
+#include "terse/core/error.h"
+#include "terse/core/incremental_solver.h"
+#include "terse/core/initial_values.h"
+#include "terse/covariance/marginals.h"
+
+namespace terse {
+namespace {
+
+enum class Mode { kBatch, kIncremental };
+enum class Covariances { kNone, kLast, kDiagonal };
+
+struct SolveOptions {
+  std::string path, output, trajectory, covariance_output, stats;
+  ReadOptions read;
+  Mode mode = Mode::kBatch;
+  InitialValues initial = InitialValues::kCompose;
+  ArrivalUnit every = ArrivalUnit::kPose;
+  Covariances covariances = Covariances::kNone;
+  int threads = 1;
+  bool quiet = false;
+};
+
+template <class Pose>
+BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
+  const double start = SecondsNow();
+  Progress progress("iterations", 0, options.quiet);
+  BatchOptions batch;
+  batch.progress = [&](int iteration, double) {
+    progress.Update(iteration);
+    return true;
+  };
+  BatchResult<Pose> result = SolveBatch(graph, ComputeInitialValues(graph, options.initial), batch);
+  stats.step_seconds.push_back(SecondsNow() - start);
+  return result;
+}
+
+// The graph as it would have come in online; then iterated to its optimum.
+template <class Pose>
+BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
+  if (options.initial == InitialValues::kFile) ComputeInitialValues(graph, options.initial);  // all there?
+  IncrementalSolver<Pose> solver;
+  const std::vector<ArrivalStep> steps = ArrivalSteps(graph, options.every);
+  {
+    Progress progress("steps", static_cast<long>(steps.size()), options.quiet);
+    for (const ArrivalStep& step : steps) {
+      const double start = SecondsNow();
+      GraphUpdate<Pose> update;
+      for (const int p : step.poses) {
+        const auto& node = graph.Poses()[static_cast<std::size_t>(p)];
+        const bool first = solver.Graph().Poses().empty() && update.poses.empty();
+        const bool use_value = node.T_world_body && (first || node.fixed || options.initial == InitialValues::kFile);
+        update.poses.push_back({node.id, use_value ? node.T_world_body : std::nullopt, node.fixed && use_value});
+      }
+      for (const int f : step.factors) update.factors.push_back(graph.Factors()[static_cast<std::size_t>(f)].factor);
+      solver.Update(update);
+      stats.step_seconds.push_back(SecondsNow() - start);
+      progress.Update(static_cast<long>(stats.step_seconds.size()));
+    }
+  }
+  stats.more["chi2_before_finish"] = solver.Chi2();
+  BatchResult<Pose> result = solver.Finish();
+  // From the solver's order of poses to the graph's.
+  std::vector<Pose> values;
+  for (const auto& node : graph.Poses()) {
+    values.push_back(result.T_world_body[static_cast<std::size_t>(solver.Graph().IndexOf(node.id))]);
+  }
+  result.T_world_body = std::move(values);
+  result.seconds = solver.Seconds();
+  return result;
+}
+
+template <class Pose>
+void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& result, const SolveOptions& options) {
+  std::vector<PoseId> ids;
+  for (const auto& node : graph.Poses()) ids.push_back(node.id);
+  // The factor of an incremental run numbers its variables in order of arrival: factor again in the graph's order.
+  const Marginals<Pose> marginals = options.mode == Mode::kBatch
+                                        ? Marginals<Pose>(graph, result.T_world_body, result.factor)
+                                        : Marginals<Pose>(graph, result.T_world_body);
+  std::vector<typename Pose::Jacobian> covariances;
+  if (options.covariances == Covariances::kLast) {
+    ids = {*std::max_element(ids.begin(), ids.end())};
+    covariances = {marginals.Marginal(ids.front())};
+  } else {
+    covariances = marginals.AllMarginals();
+  }
+  WriteCovariances<Pose>(ids, covariances, options.covariance_output.empty() ? "-" : options.covariance_output);
+}
+
+void PrintSummary(const Stats& stats) {
+  std::cout << stats.poses << " poses, " << stats.counts.edges << " edges (" << stats.counts.loop_edges
+            << " loop edges)\nchi2 " << stats.chi2 << ", " << stats.termination << " after " << stats.iterations
+            << (stats.iterations == 1 ? " iteration" : " iterations") << ", " << stats.seconds_total << " s\n";
+  FlushOutput();
+}
+
+template <class Pose>
+void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats, double start) {
+  const BatchResult<Pose> result =
+      options.mode == Mode::kBatch ? RunBatch(graph, options, stats) : RunIncremental(graph, options, stats);
+  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
+    throw NumericalError(options.path + ": " + result.message);
+  }
+  stats.poses = graph.Poses().size();
+  stats.counts = CountEdges(graph);
+  stats.chi2 = result.chi2;
+  stats.normalized_chi2 = stats.counts.scalars > 0 ? result.chi2 / static_cast<double>(stats.counts.scalars) : 0;
+  stats.log_determinant = result.log_determinant;
+  stats.iterations = result.iterations;
+  stats.converged = result.Converged();
+  stats.termination = Name(result.termination);
+  stats.phases = result.seconds;
+  if (options.covariances != Covariances::kNone) {
+    const double before = SecondsNow();
+    WriteCovariances(graph, result, options);
+    stats.seconds_covariance = SecondsNow() - before;
+  }
+  std::vector<PoseId> ids;
+  for (std::size_t k = 0; k < result.T_world_body.size(); ++k) {
+    ids.push_back(graph.Poses()[k].id);
+    graph.SetPose(ids.back(), result.T_world_body[k]);
+  }
+  if (!options.output.empty()) WriteG2o(graph, options.output, options.read.rotation_information);
+  if (!options.trajectory.empty()) WriteTrajectory(MakeTrajectory(ids, result.T_world_body), options.trajectory);
+  stats.seconds_total = SecondsNow() - start;
+  if (!options.stats.empty()) WriteJson(ToJson(stats), options.stats);
+  if (!options.quiet) PrintSummary(stats);
+  if (!stats.converged) std::cerr << "terse: warning: not converged: " << result.message << '\n';
+}
+
+void Solve(const SolveOptions& options) {
+  const double start = SecondsNow();
+  GraphFile file = ReadGraph(options.path, options.read);
+  Stats stats;
+  stats.seconds_read = SecondsNow() - start;
+  ReportRepairs(file, options.path);
+  std::visit([&](auto& graph) { SolveGraph(std::move(graph), options, std::move(stats), start); }, file.graph);
+}
+
+}  // namespace
+
+void AddSolveCommand(CLI::App& app) {
+  auto options = std::make_shared<SolveOptions>();
+  CLI::App* command = app.add_subcommand("solve", "Optimise a pose graph");
+  command->add_option("FILE", options->path, "The graph file (g2o, TORO or iSAM)")->required();
+  AddChoice(*command, "--mode", options->mode, {{"batch", Mode::kBatch}, {"incremental", Mode::kIncremental}},
+            "All at once, or pose by pose as it would have come in online");
+  AddChoice(*command, "--initial", options->initial,
+            {{"compose", InitialValues::kCompose},
+             {"file", InitialValues::kFile},
+             {"tree", InitialValues::kTree},
+             {"chordal", InitialValues::kChordal}},
+            "Initial values: composed in order of arrival, the file's, along a spanning tree, or by chordal relaxation");
+  AddChoice(*command, "--every", options->every, {{"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge}},
+            "A step of the incremental mode: a pose with all its edges, or a single edge");
+  AddReadOptions(*command, options->read);
+  command->add_option("--output", options->output, "Write the solved graph (g2o)");
+  command->add_option("--trajectory", options->trajectory, "Write the trajectory (.tum, or .kitti)");
+  AddChoice(*command, "--covariances", options->covariances,
+            {{"none", Covariances::kNone}, {"last", Covariances::kLast}, {"diagonal", Covariances::kDiagonal}},
+            "Marginal covariances: of the last pose, or of every pose");
+  command->add_option("--covariance-output", options->covariance_output,
+                      "Where the covariances go (CSV; standard output by default)");
+  command->add_option("--stats", options->stats, "Write statistics (JSON)");
+  command->add_option("--threads", options->threads, "Upper limit of threads; the solver uses one")
+      ->check(CLI::PositiveNumber)
+      ->type_name("N");
+  command->add_flag("--quiet", options->quiet, "Print nothing but errors and warnings");
+  command->footer("Example: terse solve sphere2500.g2o --output solved.g2o --stats stats.json");
+  command->callback([options] {
+    const bool composed = options->initial == InitialValues::kCompose || options->initial == InitialValues::kFile;
+    if (options->mode == Mode::kIncremental && !composed) {
+      throw CLI::ValidationError("--initial", "the incremental mode takes compose or file");
+    }
+    if (!options->covariance_output.empty() && options->covariances == Covariances::kNone) {
+      options->covariances = Covariances::kDiagonal;
+    }
+    Solve(*options);
+  });
+}
+
+}  // namespace terse

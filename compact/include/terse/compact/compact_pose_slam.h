@@ -106,6 +106,9 @@ class CompactPoseSlam {
 
   Decision AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration);
 
+  // What is known of the pose to come as seen from kept poses: T_pose_new, before any link. Changes nothing.
+  std::vector<UncertainPose<Pose>> Predict(const CompactInput<Pose>& input, const std::vector<PoseId>& from) const;
+
   // The kept poses and links.
   const IncrementalSolver<Pose>& Solver() const { return *solver_; }
   // Iterates the kept graph to its optimum.
@@ -140,6 +143,7 @@ class CompactPoseSlam {
   Current Start(const CompactInput<Pose>& input) const;
   std::vector<Bound> PropagateBounds(const Current& current) const;
   std::vector<int> Prefilter(const Current& current) const;
+  std::vector<UncertainPose<Pose>> Displacements(const Current& current, const std::vector<int>& poses) const;
   std::vector<Evaluated> Evaluate(Current& current, const std::vector<int>& poses) const;
   void CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
                   const Registration<Pose>& registration);

@@ -1,0 +1,28 @@
+#pragma once
+// Thresholds of compact pose SLAM from a sample of a run (S, section 6).
+
+#include "terse/compact/graph_replay.h"
+
+namespace terse {
+
+template <class Pose>
+struct Thresholds {
+  Vector<Displacement<Pose>::kSize> range;
+  double probability = 0.1;
+  double min_loop_gain = 0, min_pose_gain = 0;
+};
+
+struct SampleOptions {
+  double probability = 0.1;  // s
+  double share = 0.6;        // of the run's poses
+  std::function<void(long done, long total)> progress;
+};
+
+// Replays the sample with all poses and links. range: the least with which every loop of the sample passes the
+// distance test at s. Gains: g_loop = exp(1.36 ln(l90 + 1)) - 1 and g_pose = exp(1.7 ln(p90 + 1)) - 1, where
+// l90 and p90 are the 90th percentiles of the gains of the links and of the least gain per pose among its link
+// to the pose before and the loops it has. Without any loop in the sample the range is the replay's LinkRange.
+template <class Pose>
+Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options = {});
+
+}  // namespace terse

@@ -1,0 +1,156 @@
+#include "report.h"
+
+#include <sys/resource.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <iostream>
+#include <numeric>
+#include <set>
+
+#include "commands.h"
+#include "terse/core/atomic_file.h"
+#include "terse/core/linear_factor.h"
+
+namespace terse {
+namespace {
+
+// The smallest element that at least `share` of all do not exceed.
+double Percentile(std::vector<double> values, double share) {
+  if (values.empty()) return 0;
+  const double last = std::ceil(share * static_cast<double>(values.size())) - 1;
+  const auto nth = values.begin() + static_cast<long>(std::max(0.0, last));
+  std::nth_element(values.begin(), nth, values.end());
+  return *nth;
+}
+
+double PeakRssMegabytes() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_maxrss) / 1024;
+}
+
+bool EndsWith(const std::string& text, const std::string& ending) {
+  return text.size() >= ending.size() && text.compare(text.size() - ending.size(), ending.size(), ending) == 0;
+}
+
+template <class Pose>
+const char* const* TangentNames() {
+  static const char* const k2d[] = {"x", "y", "theta"};
+  static const char* const k3d[] = {"x", "y", "z", "rx", "ry", "rz"};
+  return Pose::kDim == 2 ? k2d : k3d;
+}
+
+}  // namespace
+
+double SecondsNow() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+template <class Pose>
+EdgeCounts CountEdges(const PoseGraph<Pose>& graph) {
+  std::vector<PoseId> ids;
+  for (const auto& node : graph.Poses()) ids.push_back(node.id);
+  std::sort(ids.begin(), ids.end());
+  const auto rank = [&](PoseId id) { return std::lower_bound(ids.begin(), ids.end(), id) - ids.begin(); };
+  EdgeCounts counts;
+  std::set<std::pair<long, long>> joined;
+  for (const auto& node : graph.Factors()) {
+    counts.scalars += Dimension(node.factor);
+    const FactorPoses ends = PosesOf(node.factor);
+    if (ends.count < 2) continue;
+    const auto [low, high] = std::minmax({rank(ends.first), rank(ends.second)});
+    ++counts.edges;
+    if (high - low > 1) ++counts.loop_edges;
+    if (!joined.insert({low, high}).second) ++counts.duplicates;
+  }
+  return counts;
+}
+
+nlohmann::ordered_json ToJson(const Stats& stats) {
+  nlohmann::ordered_json json;
+  json["poses"] = stats.poses;
+  json["edges"] = stats.counts.edges;
+  json["loop_edges"] = stats.counts.loop_edges;
+  json["chi2"] = stats.chi2;
+  json["normalized_chi2"] = stats.normalized_chi2;
+  json["iterations"] = stats.iterations;
+  json["converged"] = stats.converged;
+  json["termination"] = stats.termination;
+  json["log_determinant"] = stats.log_determinant;
+  json["steps"] = stats.step_seconds.size();
+  if (!stats.more.is_null()) json.update(stats.more);
+  json["seconds"] = {{"total", stats.seconds_total},          {"read", stats.seconds_read},
+                     {"order", stats.phases.order},           {"linearise", stats.phases.linearise},
+                     {"factor", stats.phases.factor},         {"solve", stats.phases.solve},
+                     {"covariance", stats.seconds_covariance}};
+  const auto& steps = stats.step_seconds;
+  json["step_seconds"] = {{"median", Percentile(steps, 0.5)},
+                          {"p95", Percentile(steps, 0.95)},
+                          {"p99", Percentile(steps, 0.99)},
+                          {"max", Percentile(steps, 1)}};
+  json["peak_rss_mb"] = PeakRssMegabytes();
+  json["threads"] = 1;
+  json["version"] = TERSE_VERSION;
+  return json;
+}
+
+void WriteJson(const nlohmann::ordered_json& json, const std::string& path) {
+  AtomicFile file(path);
+  file.Stream() << json.dump(2) << '\n';
+  file.Commit();
+}
+
+template <class Pose>
+Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body) {
+  std::vector<std::size_t> order(ids.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return ids[a] < ids[b]; });
+  Trajectory trajectory;
+  for (const std::size_t k : order) {
+    trajectory.stamps.push_back(static_cast<double>(ids[k].value));
+    if constexpr (Pose::kDim == 2) {
+      trajectory.T_world_body.push_back(Lift(T_world_body[k]));
+    } else {
+      trajectory.T_world_body.push_back(T_world_body[k]);
+    }
+  }
+  return trajectory;
+}
+
+void WriteTrajectory(const Trajectory& trajectory, const std::string& path) {
+  const bool kitti = EndsWith(path, ".kitti") || EndsWith(path, ".txt");
+  kitti ? WriteKitti(trajectory, path) : WriteTum(trajectory, path);
+}
+
+template <class Pose>
+void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename Pose::Jacobian>& covariances,
+                      const std::string& path) {
+  AtomicFile file(path == "-" ? "/dev/stdout" : path);
+  std::ostream& out = file.Stream();
+  out << "id";
+  for (int r = 0; r < Pose::kDof; ++r) {
+    for (int c = 0; c < Pose::kDof; ++c) out << ',' << TangentNames<Pose>()[r] << '_' << TangentNames<Pose>()[c];
+  }
+  out << '\n';
+  for (std::size_t k = 0; k < ids.size(); ++k) {
+    out << ids[k].value;
+    for (int r = 0; r < Pose::kDof; ++r) {
+      for (int c = 0; c < Pose::kDof; ++c) out << ',' << Shortest(covariances[k](r, c));
+    }
+    out << '\n';
+  }
+  file.Commit();
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                     \
+  template EdgeCounts CountEdges<Pose>(const PoseGraph<Pose>&);                                     \
+  template Trajectory MakeTrajectory<Pose>(const std::vector<PoseId>&, const std::vector<Pose>&);   \
+  template void WriteCovariances<Pose>(const std::vector<PoseId>&, const std::vector<Pose::Jacobian>&, \
+                                       const std::string&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse
