@@ -11,8 +11,8 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
-// A sensor that sees anything sees it from a little to the side too.
-constexpr double kLeastAngle = 0.5;
+// A sensor reaches a little beyond the longest of its links, and sees things from the side too.
+constexpr double kMargin = 1.5, kLeastAngle = 1.0;
 
 std::pair<std::int64_t, std::int64_t> Pair(PoseId a, PoseId b) { return std::minmax(a.value, b.value); }
 
@@ -93,7 +93,7 @@ Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const Vector<3>& 
     if (links_.empty() && input.odometry) include(*input.odometry);
   }
   Vector<Displacement<Pose>::kSize> range;
-  range.setConstant(std::max(reach, 1e-3));
+  range.setConstant(std::max(kMargin * reach, 1e-3));
   range[Pose::kDim] = angle;
   return range;
 }

@@ -67,7 +67,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
     slam.AddPose(input, replay.AsRegistration());
     if (options.progress) options.progress(k + 1, sample);
   }
-  if (loop_gains.empty()) out.range = replay.LinkRange();
+  out.range = out.range.cwiseMax(replay.LinkRange());
   out.min_loop_gain = std::exp(1.36 * std::log(Percentile90(loop_gains) + 1)) - 1;
   out.min_pose_gain = std::exp(1.7 * std::log(Percentile90(pose_gains) + 1)) - 1;
   return out;

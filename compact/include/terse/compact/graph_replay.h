@@ -20,8 +20,8 @@ class GraphReplay {
   // The edge between the two, each edge once: a second call gives the next of several. Refers to this object.
   Registration<Pose> AsRegistration();
 
-  // A sensor range that covers every link (the odometry, if there are no links): the longest one's length in each
-  // direction, the largest angle but at least half a radian.
+  // A sensor range that covers every link (the odometry, if there are no links): 1.5 times the longest one's length
+  // in each direction, the largest angle but at least one radian.
   Vector<Displacement<Pose>::kSize> LinkRange(const Vector<3>& view_axis = {0, 0, 1}) const;
   // Mean covariance of the links (of the odometry, if there are none).
   typename Pose::Jacobian LinkCovariance() const;

@@ -19,7 +19,8 @@ struct SampleOptions {
 };
 
 // Replays the sample with all poses and links. range: the least with which every loop of the sample passes the
-// distance test at s. Gains: g_loop = exp(1.36 ln(l90 + 1)) - 1 and g_pose = exp(1.7 ln(p90 + 1)) - 1, where
+// distance test at s, but at least the replay's LinkRange: a map with few links knows its displacements less well than
+// the sample's, so its own loops would fail the sample's range and, once they do, all later ones. Gains: g_loop = exp(1.36 ln(l90 + 1)) - 1 and g_pose = exp(1.7 ln(p90 + 1)) - 1, where
 // l90 and p90 are the 90th percentiles of the gains of the links and of the least gain per pose among its link
 // to the pose before and the loops it has. Without any loop in the sample the range is the replay's LinkRange.
 template <class Pose>
