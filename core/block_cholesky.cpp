@@ -331,9 +331,9 @@ int BlockCholesky<B>::FactorFront(Front& front, const std::vector<Front>& pendin
       front.panel[At(c) * At(rows) + At(c)] += damping[At(front.pivots[At(c / B)]) * B + At(c % B)];
     }
   }
-  const int failed = internal::FactorPanel(front.panel.data(), rows, p);
+  const int failed = internal::Kernels().factor_panel(front.panel.data(), rows, p);
   if (failed >= 0) return front.pivots[At(failed / B)];
-  internal::SubtractOuter(front.update.data(), n, front.panel.data(), rows, p);
+  internal::Kernels().subtract_outer(front.update.data(), n, front.panel.data(), rows, p);
   for (int c = 0; c < p; ++c) {
     front.subtree_log_det += 2 * std::log(front.panel[At(c) * At(rows) + At(c)]);
     const double y = front.panel[At(c) * At(rows) + At(rows - 1)];

@@ -1,41 +1,35 @@
 #include "dense_kernels.h"
 
-#include <Eigen/Cholesky>
-#include <Eigen/Core>
-
 namespace terse::internal {
 
-using Eigen::MatrixXd;
+#define TERSE_DECLARE_KERNELS(set)                                                      \
+  namespace set {                                                                       \
+  int FactorPanel(double* panel, int rows, int pivots);                                 \
+  void SubtractOuter(double* update, int n, const double* panel, int rows, int pivots); \
+  }
+TERSE_DECLARE_KERNELS(baseline)
+#ifdef TERSE_X86_KERNELS
+TERSE_DECLARE_KERNELS(avx2)
+TERSE_DECLARE_KERNELS(avx512)
+#endif
+#undef TERSE_DECLARE_KERNELS
 
-int FactorPanel(double* panel, int rows, int pivots) {
-  Eigen::Map<MatrixXd> all(panel, rows, pivots);
-  auto top = all.topRows(pivots);
-  // The blocked factorisation reports only that it failed; the column is found below.
-  Eigen::Ref<MatrixXd, 0, Eigen::OuterStride<>> in_place(top);
-  Eigen::LLT<Eigen::Ref<MatrixXd, 0, Eigen::OuterStride<>>> llt(in_place);
-  for (int k = 0; k < pivots; ++k) {
-    const double pivot = all(k, k);
-    if (!(pivot > 0) || !(pivot < 1e300)) return k;
+std::vector<DenseKernels> AvailableKernels() {
+  std::vector<DenseKernels> out = {{"baseline", baseline::FactorPanel, baseline::SubtractOuter}};
+#ifdef TERSE_X86_KERNELS
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
+    out.push_back({"avx2", avx2::FactorPanel, avx2::SubtractOuter});
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl")) {
+      out.push_back({"avx512", avx512::FactorPanel, avx512::SubtractOuter});
+    }
   }
-  if (llt.info() != Eigen::Success) return 0;
-  if (rows > pivots) {
-    auto bottom = all.bottomRows(rows - pivots);
-    top.transpose().triangularView<Eigen::Upper>().solveInPlace<Eigen::OnTheRight>(bottom);
-  }
-  return -1;
+#endif
+  return out;
 }
 
-void SubtractOuter(double* update, int n, const double* panel, int rows, int pivots) {
-  Eigen::Map<MatrixXd> U(update, n, n);
-  const Eigen::Map<const MatrixXd> all(panel, rows, pivots);
-  const auto S = all.bottomRows(n);
-  if (n < 24 && pivots < 24) {
-    for (int j = 0; j < n; ++j) {
-      U.col(j).tail(n - j).noalias() -= S.bottomRows(n - j).lazyProduct(S.row(j).transpose());
-    }
-    return;
-  }
-  U.selfadjointView<Eigen::Lower>().rankUpdate(S, -1);
+const DenseKernels& Kernels() {
+  static const DenseKernels best = AvailableKernels().back();
+  return best;
 }
 
 }  // namespace terse::internal

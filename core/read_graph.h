@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "text_lines.h"
 #include "terse/core/graph_file.h"
+#include "text_lines.h"
 
 namespace terse {
 

@@ -31,10 +31,9 @@ typename Pose::Jacobian ConvertCrossCovariance(const typename Pose::Jacobian& co
   return Transformation(T_a, to) * covariance * Transformation(T_b, to).transpose();
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                     \
-  template Pose::Jacobian ConvertCovariance<Pose>(const Pose::Jacobian&, const Pose&,               \
-                                                  const CovarianceConvention&);                     \
-  template Pose::Jacobian ConvertCrossCovariance<Pose>(const Pose::Jacobian&, const Pose&, const Pose&, \
+#define TERSE_INSTANTIATE(Pose)                                                                                     \
+  template Pose::Jacobian ConvertCovariance<Pose>(const Pose::Jacobian&, const Pose&, const CovarianceConvention&); \
+  template Pose::Jacobian ConvertCrossCovariance<Pose>(const Pose::Jacobian&, const Pose&, const Pose&,             \
                                                        const CovarianceConvention&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

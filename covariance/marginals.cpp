@@ -76,8 +76,9 @@ typename Pose::Jacobian Marginals<Pose>::Relative(PoseId a, PoseId b, const Cova
   if (i == j) throw std::invalid_argument("a relative pose needs two distinct poses");
   const MatrixX joint = CovarianceBlocks(*factor_, {i, j}, {i, j});
   const Pose T_a_b = Value(i).Inverse() * Value(j);
-  const Jacobian covariance = RelativeCovariance<Pose>(T_a_b, joint.template topLeftCorner<B, B>(), joint.template topRightCorner<B, B>(),
-                                                       joint.template bottomRightCorner<B, B>());
+  const Jacobian covariance =
+      RelativeCovariance<Pose>(T_a_b, joint.template topLeftCorner<B, B>(), joint.template topRightCorner<B, B>(),
+                               joint.template bottomRightCorner<B, B>());
   return ConvertCovariance<Pose>(covariance, T_a_b, convention);
 }
 
@@ -95,7 +96,9 @@ typename Pose::Jacobian RelativeCovariance(const Pose& T_a_b, const typename Pos
 
 template class Marginals<SE2>;
 template class Marginals<SE3>;
-template SE2::Jacobian RelativeCovariance<SE2>(const SE2&, const SE2::Jacobian&, const SE2::Jacobian&, const SE2::Jacobian&);
-template SE3::Jacobian RelativeCovariance<SE3>(const SE3&, const SE3::Jacobian&, const SE3::Jacobian&, const SE3::Jacobian&);
+template SE2::Jacobian RelativeCovariance<SE2>(const SE2&, const SE2::Jacobian&, const SE2::Jacobian&,
+                                               const SE2::Jacobian&);
+template SE3::Jacobian RelativeCovariance<SE3>(const SE3&, const SE3::Jacobian&, const SE3::Jacobian&,
+                                               const SE3::Jacobian&);
 
 }  // namespace terse

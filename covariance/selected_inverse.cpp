@@ -142,7 +142,8 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::AllDiagonals() const {
 }
 
 template <int B>
-MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows, const std::vector<int>& columns) {
+MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows,
+                         const std::vector<int>& columns) {
   // X = H^-1 E: forward along the columns' paths, backward along everybody's.
   const Eigen::Index width = B * static_cast<Eigen::Index>(columns.size());
   std::unordered_map<int, MatrixXd> X;  // by variable, B x width; absent is zero
@@ -156,11 +157,13 @@ MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>&
   }
   const auto load = [&](const std::vector<int>& variables) {
     MatrixXd M(B * static_cast<Eigen::Index>(variables.size()), width);
-    for (size_t k = 0; k < variables.size(); ++k) M.template middleRows<B>(static_cast<Eigen::Index>(k) * B) = entry(variables[k]);
+    for (size_t k = 0; k < variables.size(); ++k)
+      M.template middleRows<B>(static_cast<Eigen::Index>(k) * B) = entry(variables[k]);
     return M;
   };
   const auto store = [&](const std::vector<int>& variables, const MatrixXd& M) {
-    for (size_t k = 0; k < variables.size(); ++k) entry(variables[k]) = M.template middleRows<B>(static_cast<Eigen::Index>(k) * B);
+    for (size_t k = 0; k < variables.size(); ++k)
+      entry(variables[k]) = M.template middleRows<B>(static_cast<Eigen::Index>(k) * B);
   };
   const std::vector<int> forward = PathsTopDown(factor, columns);
   for (auto it = forward.rbegin(); it != forward.rend(); ++it) {

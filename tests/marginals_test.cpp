@@ -47,7 +47,8 @@ TYPED_TEST(MarginalsTest, EveryBlockEqualsTheDenseInverse) {
     const double scale = Sigma.norm() / static_cast<double>(poses.size());
     for (std::size_t i = 0; i < poses.size(); ++i) {
       ASSERT_LT((all[i] - block(i, i)).norm(), 1e-9 * std::max(block(i, i).norm(), 1e-3 * scale));
-      ASSERT_LT((marginals.Marginal(poses[i].id) - block(i, i)).norm(), 1e-9 * std::max(block(i, i).norm(), 1e-3 * scale));
+      ASSERT_LT((marginals.Marginal(poses[i].id) - block(i, i)).norm(),
+                1e-9 * std::max(block(i, i).norm(), 1e-3 * scale));
       for (std::size_t j = 0; j < poses.size(); ++j) {
         ASSERT_LT((marginals.Cross(poses[i].id, poses[j].id) - block(i, j)).norm(), 1e-9 * scale);
       }
@@ -58,11 +59,13 @@ TYPED_TEST(MarginalsTest, EveryBlockEqualsTheDenseInverse) {
       if (rng() % 3 == 0) chosen.push_back(i);
     }
     if (chosen.empty()) chosen.push_back(0);
-    Eigen::MatrixXd expected(static_cast<Eigen::Index>(chosen.size()) * B, static_cast<Eigen::Index>(chosen.size()) * B);
+    Eigen::MatrixXd expected(static_cast<Eigen::Index>(chosen.size()) * B,
+                             static_cast<Eigen::Index>(chosen.size()) * B);
     for (std::size_t r = 0; r < chosen.size(); ++r) {
       ids.push_back(poses[chosen[r]].id);
       for (std::size_t c = 0; c < chosen.size(); ++c) {
-        expected.block<B, B>(static_cast<Eigen::Index>(r) * B, static_cast<Eigen::Index>(c) * B) = block(chosen[r], chosen[c]);
+        expected.block<B, B>(static_cast<Eigen::Index>(r) * B, static_cast<Eigen::Index>(c) * B) =
+            block(chosen[r], chosen[c]);
       }
     }
     ASSERT_LT(RelativeError(marginals.Joint(ids), expected), 1e-9);
@@ -96,7 +99,8 @@ TYPED_TEST(MarginalsTest, RelativeEqualsPropagationByDifferences) {
     // Central differences are good to about 1e-9; the joint is up to a hundred times its difference.
     EXPECT_LT(RelativeError(body, expected), 1e-5);
     EXPECT_GT(Eigen::MatrixXd(body).llt().matrixLLT().diagonal().minCoeff(), 0);
-    const auto world = marginals.Relative(poses[i].id, poses[j].id, {CovarianceFrame::kWorld, TangentOrder::kTranslationFirst});
+    const auto world =
+        marginals.Relative(poses[i].id, poses[j].id, {CovarianceFrame::kWorld, TangentOrder::kTranslationFirst});
     EXPECT_LT(RelativeError(world, T_a_b.Adjoint() * body * T_a_b.Adjoint().transpose()), 1e-12);
   }
 }
@@ -136,10 +140,12 @@ TYPED_TEST(MarginalsTest, SelectedInverseFollowsAnIncrementalFactor) {
   IncrementalSolver<TypeParam> solver;
   const SelectedInverse<B> inverse(solver.Factor());
   std::vector<GraphUpdate<TypeParam>> updates(20);
-  for (int k = 0; k < 20; ++k) updates[static_cast<std::size_t>(k)].poses.push_back({random.graph.Poses()[static_cast<std::size_t>(k)].id});
+  for (int k = 0; k < 20; ++k)
+    updates[static_cast<std::size_t>(k)].poses.push_back({random.graph.Poses()[static_cast<std::size_t>(k)].id});
   for (const auto& node : random.graph.Factors()) {
     const FactorPoses ends = PosesOf(node.factor);
-    updates[static_cast<std::size_t>(std::max(random.graph.IndexOf(ends.first), random.graph.IndexOf(ends.second)))].factors.push_back(node.factor);
+    updates[static_cast<std::size_t>(std::max(random.graph.IndexOf(ends.first), random.graph.IndexOf(ends.second)))]
+        .factors.push_back(node.factor);
   }
   for (const auto& update : updates) {
     solver.Update(update);

@@ -144,9 +144,9 @@ void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename
   file.Commit();
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                     \
-  template EdgeCounts CountEdges<Pose>(const PoseGraph<Pose>&);                                     \
-  template Trajectory MakeTrajectory<Pose>(const std::vector<PoseId>&, const std::vector<Pose>&);   \
+#define TERSE_INSTANTIATE(Pose)                                                                        \
+  template EdgeCounts CountEdges<Pose>(const PoseGraph<Pose>&);                                        \
+  template Trajectory MakeTrajectory<Pose>(const std::vector<PoseId>&, const std::vector<Pose>&);      \
   template void WriteCovariances<Pose>(const std::vector<PoseId>&, const std::vector<Pose::Jacobian>&, \
                                        const std::string&);
 TERSE_INSTANTIATE(SE2)

@@ -151,12 +151,13 @@ void AddSolveCommand(CLI::App& app) {
   command->add_option("FILE", options->path, "The graph file (g2o, TORO or iSAM)")->required();
   AddChoice(*command, "--mode", options->mode, {{"batch", Mode::kBatch}, {"incremental", Mode::kIncremental}},
             "All at once, or pose by pose as it would have come in online");
-  AddChoice(*command, "--initial", options->initial,
-            {{"compose", InitialValues::kCompose},
-             {"file", InitialValues::kFile},
-             {"tree", InitialValues::kTree},
-             {"chordal", InitialValues::kChordal}},
-            "Initial values: composed in order of arrival, the file's, along a spanning tree, or by chordal relaxation");
+  AddChoice(
+      *command, "--initial", options->initial,
+      {{"compose", InitialValues::kCompose},
+       {"file", InitialValues::kFile},
+       {"tree", InitialValues::kTree},
+       {"chordal", InitialValues::kChordal}},
+      "Initial values: composed in order of arrival, the file's, along a spanning tree, or by chordal relaxation");
   AddChoice(*command, "--every", options->every, {{"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge}},
             "A step of the incremental mode: a pose with all its edges, or a single edge");
   AddReadOptions(*command, options->read);

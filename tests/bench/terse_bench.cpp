@@ -37,7 +37,8 @@ class CholmodMatrix {
     for (const auto& node : graph.Factors()) {
       const FactorPoses ends = PosesOf(node.factor);
       const int i = graph.IndexOf(ends.first), j = graph.IndexOf(ends.second);
-      factors.push_back(Linearize(node.factor, i, j, values[static_cast<std::size_t>(i)], values[static_cast<std::size_t>(j)]));
+      factors.push_back(
+          Linearize(node.factor, i, j, values[static_cast<std::size_t>(i)], values[static_cast<std::size_t>(j)]));
     }
     factors.push_back(Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph))));
     cholmod_triplet* triplets = cholmod_allocate_triplet(n, n, factors.size() * 3 * B * B, -1, CHOLMOD_REAL, &common_);
@@ -57,8 +58,8 @@ class CholmodMatrix {
       if (f.second < 0) continue;
       add(f.second, f.second, f.A_second.transpose() * f.A_second);
       const bool forward = f.first > f.second;
-      const Matrix<B, B> across = forward ? Matrix<B, B>(f.A_first.transpose() * f.A_second)
-                                          : Matrix<B, B>(f.A_second.transpose() * f.A_first);
+      const Matrix<B, B> across =
+          forward ? Matrix<B, B>(f.A_first.transpose() * f.A_second) : Matrix<B, B>(f.A_second.transpose() * f.A_first);
       add(forward ? f.first : f.second, forward ? f.second : f.first, across);
     }
     matrix_ = cholmod_triplet_to_sparse(triplets, 0, &common_);
@@ -122,7 +123,8 @@ void RegisterGraph(const std::string& name, std::shared_ptr<const PoseGraph<Pose
   });
 }
 
-void RegisterFile(const std::string& name, const std::string& path, InitialValues initial, RotationInformation meaning) {
+void RegisterFile(const std::string& name, const std::string& path, InitialValues initial,
+                  RotationInformation meaning) {
   const std::string full = TERSE_SOURCE_DIR "/../shared/data/graphs/" + path;
   if (!std::filesystem::exists(full)) {
     std::fprintf(stderr, "%s: left out, %s is not there\n", name.c_str(), full.c_str());

@@ -1,0 +1,5 @@
+#define TERSE_KERNEL_NAMESPACE baseline
+#define TERSE_VECTOR_DOUBLES 2
+#define TERSE_TILE_VECTORS 2
+#define TERSE_TILE_COLUMNS 4
+#include "dense_kernels_impl.h"
