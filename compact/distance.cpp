@@ -12,7 +12,22 @@ double NormalCdf(double x) { return std::erfc(-x / std::sqrt(2.0)) / 2; }
 
 double ProbabilityWithin(double mean, double sigma, double low, double high) {
   if (sigma <= 0) return mean >= low && mean <= high ? 1 : 0;
+  // On the lower tail, whichever side the interval is on: the upper one would cancel.
+  if (low > mean) return NormalCdf((mean - low) / sigma) - NormalCdf((mean - high) / sigma);
   return NormalCdf((high - mean) / sigma) - NormalCdf((low - mean) / sigma);
+}
+
+// That a wrapped normal angle is within +-limit, limit < pi.
+double AngleProbabilityWithin(double mean, double sigma, double limit) {
+  if (sigma > 2 * kPi) return limit / kPi;  // uniform to 1e-8
+  const double period = 2 * kPi;
+  const double nearest = std::remainder(mean, period);
+  const int turns = 1 + static_cast<int>(std::ceil(6 * sigma / period));
+  double sum = 0;
+  for (int k = -turns; k <= turns; ++k) {
+    sum += ProbabilityWithin(nearest, sigma, k * period - limit, k * period + limit);
+  }
+  return sum;
 }
 
 // d angle / d phi (right perturbation) for the angle between e and R e, with the covariance of phi at hand to
@@ -28,7 +43,7 @@ Vector<3> AngleGradient(const SO3& R, const Vector<3>& e, const Matrix<3, 3>& Si
   const Matrix<3, 3> P = Matrix<3, 3>::Identity() - e * e.transpose();
   const Eigen::Matrix3d projected = P * Sigma_phi * P;
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(projected);
-  return eigen.eigenvectors().col(2);
+  return P * eigen.eigenvectors().col(2);  // without variance across e any direction comes, e itself too
 }
 
 }  // namespace
@@ -70,9 +85,7 @@ Vector<Displacement<Pose>::kSize> RangeProbabilities(const Displacement<Pose>& d
     } else if (limit >= kPi) {
       out[k] = 1;
     } else {
-      // The neighbours at 2 pi are the same angle.
-      out[k] = 0;
-      for (const double turn : {-2 * kPi, 0.0, 2 * kPi}) out[k] += ProbabilityWithin(mean, sigma, turn - limit, turn + limit);
+      out[k] = AngleProbabilityWithin(mean, sigma, limit);
     }
   }
   return out;
