@@ -32,10 +32,14 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   }
   if (!(o.probability >= 0 && o.probability < 1)) throw std::invalid_argument("compact options: the probability must be in [0, 1)");
   if (!(o.min_loop_gain >= 0) || !(o.min_pose_gain >= 0)) throw std::invalid_argument("compact options: gains must not be negative");
-  if (o.link_covariance.llt().info() != Eigen::Success) {
+  // Cholesky reads one triangle and lets NaN pass.
+  const bool symmetric = (o.link_covariance - o.link_covariance.transpose()).norm() <= 1e-9 * o.link_covariance.norm();
+  if (!symmetric || o.link_covariance.llt().info() != Eigen::Success) {
     throw std::invalid_argument("compact options: the link covariance is not positive definite");
   }
-  if (!(o.view_axis.norm() > 0)) throw std::invalid_argument("compact options: the view axis is zero");
+  if (!(o.view_axis.norm() > 0) || !o.view_axis.allFinite()) {
+    throw std::invalid_argument("compact options: the view axis is zero or not finite");
+  }
 }
 
 }  // namespace
@@ -106,6 +110,16 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
   if (input.odometry.has_value() == history_.empty()) {
     throw std::invalid_argument(name + (history_.empty() ? " is the first and has odometry" : " has no odometry"));
   }
+  if (input.T_world_body && !std::isfinite(input.T_world_body->Log().sum())) {
+    throw std::invalid_argument(name + " has a value that is not finite");
+  }
+  if (input.fixed && !input.T_world_body && !history_.empty()) throw std::invalid_argument(name + " is fixed but has no value");
+  for (const Factor<Pose>& prior : input.priors) {
+    const FactorPoses ends = PosesOf(prior);
+    if (ends.count != 1 || ends.first != input.id) throw std::invalid_argument("a prior of " + name + " is no prior on it");
+    const std::string defect = FindDefect<Pose>(prior);
+    if (!defect.empty()) throw std::invalid_argument(defect);
+  }
   Current current;
   current.input = &input;
   if (history_.empty()) {
@@ -130,6 +144,7 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
 }
 
 // Minkowski's inequality for root mean squares: an error of the older pose's rotation acts over the new step's length.
+// The new step's own error is independent of what was known before, so that squares add.
 // Holds while the map only gains information; relinearisation moves it in the second order.
 template <class Pose>
 std::vector<typename CompactPoseSlam<Pose>::Bound> CompactPoseSlam<Pose>::PropagateBounds(const Current& current) const {
@@ -142,8 +157,8 @@ std::vector<typename CompactPoseSlam<Pose>::Bound> CompactPoseSlam<Pose>::Propag
   const double radians = RotationSpread<Pose>(current.odometry.covariance);
   std::vector<Bound> out(bounds_);
   for (Bound& bound : out) {
-    bound.metres += bound.radians * length + metres;
-    bound.radians += radians;
+    bound.metres = std::hypot(bound.metres + bound.radians * length, metres);
+    bound.radians = std::hypot(bound.radians, radians);
   }
   return out;
 }
@@ -157,17 +172,16 @@ std::vector<int> CompactPoseSlam<Pose>::Prefilter(const Current& current) const 
   const double root = std::sqrt(static_cast<double>(Pose::kDim));
   for (int i = 0; i < static_cast<int>(current.bounds.size()); ++i) {
     const Bound& bound = current.bounds[At(i)];
-    const double slack = deviations_ * bound.metres;
+    // A bound may be infinite.
+    const double slack = deviations_ > 0 ? deviations_ * bound.metres : 0;
     const Pose T_world_i = solver_->EstimateAt(i);
     if ((T_world_i.Translation() - current.T_world_body.Translation()).norm() > reach + root * slack) continue;
-    const UncertainPose<Pose> mean{T_world_i.Inverse() * current.T_world_body};
-    const auto displacement = ComputeDisplacement<Pose>(mean, options_.view_axis).mean.cwiseAbs().eval();
-    const bool near = (displacement.template head<Pose::kDim>().array() <=
+    const auto mean = DisplacementMean<Pose>(T_world_i.Inverse() * current.T_world_body, options_.view_axis);
+    const bool near = (mean.template head<Pose::kDim>().cwiseAbs().array() <=
                        range.template head<Pose::kDim>().array() + slack).all();
-    // An angle's distribution wraps, so this bound is used only while it is well below pi.
-    const double angle_slack = deviations_ * bound.radians;
-    const double angle = displacement[Pose::kDim], angle_range = range[Pose::kDim];
-    if (near && (angle <= angle_range + angle_slack || angle_slack > 0.5)) out.push_back(i);
+    if (!near) continue;
+    const double angle = AngleProbabilityBound(mean[Pose::kDim], bound.radians, range[Pose::kDim]);
+    if (angle > options_.probability) out.push_back(i);
   }
   return out;
 }
@@ -311,7 +325,8 @@ void CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> lin
   GraphUpdate<Pose> update;
   const int new_links = static_cast<int>(links.size());
   if (!current.in_solver) {
-    update.poses.push_back({input.id, current.T_world_body, input.fixed});
+    const Pose start = input.fixed ? input.T_world_body.value_or(current.T_world_body) : current.T_world_body;
+    update.poses.push_back({input.id, start, input.fixed});
     if (input.odometry && !current.concatenated) {
       update.factors.push_back(*input.odometry);
     } else if (input.odometry) {

@@ -49,9 +49,23 @@ Vector<3> AngleGradient(const SO3& R, const Vector<3>& e, const Matrix<3, 3>& Si
 }  // namespace
 
 template <>
+Vector<3> DisplacementMean<SE2>(const SE2& T_i_n, const Vector<3>&) {
+  return {T_i_n.Translation().x(), T_i_n.Translation().y(), T_i_n.Theta()};
+}
+
+template <>
+Vector<4> DisplacementMean<SE3>(const SE3& T_i_n, const Vector<3>& view_axis) {
+  const Vector<3> e = view_axis.normalized();
+  const Vector<3> seen = T_i_n.Rotation() * e;
+  Vector<4> out;
+  out << T_i_n.Translation(), std::atan2(e.cross(seen).norm(), e.dot(seen));
+  return out;
+}
+
+template <>
 Displacement<SE2> ComputeDisplacement<SE2>(const UncertainPose<SE2>& T_i_n, const Vector<3>&) {
   Displacement<SE2> out;
-  out.mean << T_i_n.T_a_b.Translation(), T_i_n.T_a_b.Theta();
+  out.mean = DisplacementMean<SE2>(T_i_n.T_a_b);
   const Matrix<3, 3> J = SE2::LocalJacobian(out.mean);
   out.covariance = J * T_i_n.covariance * J.transpose();
   return out;
@@ -61,10 +75,8 @@ template <>
 Displacement<SE3> ComputeDisplacement<SE3>(const UncertainPose<SE3>& T_i_n, const Vector<3>& view_axis) {
   const SO3& R = T_i_n.T_a_b.Rotation();
   const Vector<3> e = view_axis.normalized();
-  const Vector<3> seen = R * e;
-  const double angle = std::atan2(e.cross(seen).norm(), e.dot(seen));
   Displacement<SE3> out;
-  out.mean << T_i_n.T_a_b.Translation(), angle;
+  out.mean = DisplacementMean<SE3>(T_i_n.T_a_b, view_axis);
   Matrix<4, 6> J = Matrix<4, 6>::Zero();
   J.topLeftCorner<3, 3>() = R.Rotation();
   J.bottomRightCorner<1, 3>() = AngleGradient(R, e, T_i_n.covariance.bottomRightCorner<3, 3>()).transpose();
@@ -89,6 +101,13 @@ Vector<Displacement<Pose>::kSize> RangeProbabilities(const Displacement<Pose>& d
     }
   }
   return out;
+}
+
+double AngleProbabilityBound(double mean, double sigma, double range) {
+  const double angle = std::abs(mean);
+  if (angle <= range) return 1;
+  // All that is in range lies beyond one of the two nearest ends; both tails grow with sigma.
+  return NormalCdf((range - angle) / sigma) + NormalCdf((angle + range - 2 * kPi) / sigma);
 }
 
 double DeviationsBeyondRange(double probability) {

@@ -1,6 +1,7 @@
 #include "terse/compact/graph_replay.h"
 
 #include <algorithm>
+#include <stdexcept>
 
 #include "terse/core/arrival.h"
 
@@ -16,6 +17,7 @@ std::pair<std::int64_t, std::int64_t> Pair(PoseId a, PoseId b) { return std::min
 
 template <class Pose>
 GraphReplay<Pose>::GraphReplay(const PoseGraph<Pose>& graph) {
+  if (graph.Poses().empty()) throw std::invalid_argument("the graph is empty");
   std::vector<int> rank(graph.Poses().size(), -1);
   const auto latest = [&](const Factor<Pose>& factor) {
     const FactorPoses ends = PosesOf(factor);

@@ -59,7 +59,7 @@ struct CompactRun {
 };
 
 template <class Pose>
-CompactRun<Pose> Run(GraphReplay<Pose>& replay, const CompactOptions<Pose>& options) {
+CompactRun<Pose> RunCompact(GraphReplay<Pose>& replay, const CompactOptions<Pose>& options) {
   CompactRun<Pose> run{std::make_unique<CompactPoseSlam<Pose>>(options), {}};
   const auto registration = replay.AsRegistration();
   for (const auto& input : replay.Inputs()) run.decisions.push_back(run.slam->AddPose(input, registration));
@@ -67,12 +67,12 @@ CompactRun<Pose> Run(GraphReplay<Pose>& replay, const CompactOptions<Pose>& opti
 }
 
 template <class Pose>
-CompactRun<Pose> Run(const PoseGraph<Pose>& graph, Strategy strategy, double min_loop_gain, double min_pose_gain) {
+CompactRun<Pose> RunCompact(const PoseGraph<Pose>& graph, Strategy strategy, double min_loop_gain, double min_pose_gain) {
   GraphReplay<Pose> replay(graph);
   auto options = OptionsFor(replay, strategy);
   options.min_loop_gain = min_loop_gain;
   options.min_pose_gain = min_pose_gain;
-  return Run(replay, options);
+  return RunCompact(replay, options);
 }
 
 template <class Pose>

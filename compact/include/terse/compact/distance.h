@@ -15,6 +15,9 @@ struct Displacement {
   Matrix<kSize, kSize> covariance;
 };
 
+template <class Pose>
+Vector<Displacement<Pose>::kSize> DisplacementMean(const Pose& T_i_n, const Vector<3>& view_axis = {0, 0, 1});
+
 // First-order transformation of T_i_n. `view_axis` (unit, body frame) is used in 3D only. At angles 0 and pi,
 // where its gradient has no direction, the angle takes the direction of largest variance: never too small.
 template <class Pose>
@@ -25,6 +28,9 @@ Displacement<Pose> ComputeDisplacement(const UncertainPose<Pose>& T_i_n, const V
 template <class Pose>
 Vector<Displacement<Pose>::kSize> RangeProbabilities(const Displacement<Pose>& displacement,
                                                      const Vector<Displacement<Pose>::kSize>& range);
+
+// An upper bound of the probability of an angle in [-pi, pi] whose standard deviation is `sigma` (may be infinite) at most.
+double AngleProbabilityBound(double mean, double sigma, double range);
 
 // How many standard deviations beyond the range a component's mean can lie while its probability still
 // exceeds `probability`; 0 for probabilities of one half and more.
