@@ -341,7 +341,15 @@ void CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> lin
   if (update.poses.empty() && update.factors.empty()) return;
   solver_->Update(update);
   links_kept_ += new_links;
-  if (!current.in_solver) current.bounds.push_back({});
+  if (!current.in_solver) {
+    // The first absolute measurements release the anchor (gauge.h), and what it told of the map is lost.
+    const bool absolute = input.fixed || !input.priors.empty();
+    if (absolute && absolute_poses_++ < Pose::kDim) {
+      constexpr double kUnbounded = std::numeric_limits<double>::infinity();
+      std::fill(current.bounds.begin(), current.bounds.end(), Bound{kUnbounded, kUnbounded});
+    }
+    current.bounds.push_back({});
+  }
   current.in_solver = true;
   current.concatenated = false;
   current.T_world_body = solver_->Estimate(input.id);

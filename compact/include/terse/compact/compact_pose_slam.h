@@ -160,6 +160,7 @@ class CompactPoseSlam {
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<Bound> bounds_;                    // by solver pose index, to the newest pose
   int links_kept_ = 0;
+  int absolute_poses_ = 0;  // fixed or with priors
 };
 
 extern template class CompactPoseSlam<SE2>;
