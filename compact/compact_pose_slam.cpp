@@ -30,8 +30,10 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   if (!(o.range.array() > 0).all() || !o.range.allFinite()) {
     throw std::invalid_argument("compact options: the sensor range must be positive and finite");
   }
-  if (!(o.probability >= 0 && o.probability < 1)) throw std::invalid_argument("compact options: the probability must be in [0, 1)");
-  if (!(o.min_loop_gain >= 0) || !(o.min_pose_gain >= 0)) throw std::invalid_argument("compact options: gains must not be negative");
+  if (!(o.probability >= 0 && o.probability < 1))
+    throw std::invalid_argument("compact options: the probability must be in [0, 1)");
+  if (!(o.min_loop_gain >= 0) || !(o.min_pose_gain >= 0))
+    throw std::invalid_argument("compact options: gains must not be negative");
   // Cholesky reads one triangle and lets NaN pass.
   const bool symmetric = (o.link_covariance - o.link_covariance.transpose()).norm() <= 1e-9 * o.link_covariance.norm();
   if (!symmetric || o.link_covariance.llt().info() != Eigen::Success) {
@@ -113,10 +115,12 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
   if (input.T_world_body && !std::isfinite(input.T_world_body->Log().sum())) {
     throw std::invalid_argument(name + " has a value that is not finite");
   }
-  if (input.fixed && !input.T_world_body && !history_.empty()) throw std::invalid_argument(name + " is fixed but has no value");
+  if (input.fixed && !input.T_world_body && !history_.empty())
+    throw std::invalid_argument(name + " is fixed but has no value");
   for (const Factor<Pose>& prior : input.priors) {
     const FactorPoses ends = PosesOf(prior);
-    if (ends.count != 1 || ends.first != input.id) throw std::invalid_argument("a prior of " + name + " is no prior on it");
+    if (ends.count != 1 || ends.first != input.id)
+      throw std::invalid_argument("a prior of " + name + " is no prior on it");
     const std::string defect = FindDefect<Pose>(prior);
     if (!defect.empty()) throw std::invalid_argument(defect);
   }
@@ -147,7 +151,8 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
 // The new step's own error is independent of what was known before, so that squares add.
 // Holds while the map only gains information; relinearisation moves it in the second order.
 template <class Pose>
-std::vector<typename CompactPoseSlam<Pose>::Bound> CompactPoseSlam<Pose>::PropagateBounds(const Current& current) const {
+std::vector<typename CompactPoseSlam<Pose>::Bound> CompactPoseSlam<Pose>::PropagateBounds(
+    const Current& current) const {
   const double unbounded = std::numeric_limits<double>::infinity();
   if (current.previous + 1 != static_cast<int>(history_.size())) {
     return std::vector<Bound>(bounds_.size(), Bound{unbounded, unbounded});
@@ -177,8 +182,9 @@ std::vector<int> CompactPoseSlam<Pose>::Prefilter(const Current& current) const 
     const Pose T_world_i = solver_->EstimateAt(i);
     if ((T_world_i.Translation() - current.T_world_body.Translation()).norm() > reach + root * slack) continue;
     const auto mean = DisplacementMean<Pose>(T_world_i.Inverse() * current.T_world_body, options_.view_axis);
-    const bool near = (mean.template head<Pose::kDim>().cwiseAbs().array() <=
-                       range.template head<Pose::kDim>().array() + slack).all();
+    const bool near =
+        (mean.template head<Pose::kDim>().cwiseAbs().array() <= range.template head<Pose::kDim>().array() + slack)
+            .all();
     if (!near) continue;
     const double angle = AngleProbabilityBound(mean[Pose::kDim], bound.radians, range[Pose::kDim]);
     if (angle > options_.probability) out.push_back(i);
@@ -186,7 +192,8 @@ std::vector<int> CompactPoseSlam<Pose>::Prefilter(const Current& current) const 
   return out;
 }
 
-// The distance test and the gain of the given kept poses, exactly; those in range come back. Tightens the bounds of all.
+// The distance test and the gain of the given kept poses, exactly; those in range come back. Tightens the bounds of
+// all.
 template <class Pose>
 std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(
     Current& current, const std::vector<int>& poses) const {
@@ -229,7 +236,8 @@ std::optional<RelativePoseFactor<Pose>> CompactPoseSlam<Pose>::Register(const Re
                                                                         PoseId candidate, PoseId current) const {
   std::optional<RelativePoseFactor<Pose>> link = registration ? registration(candidate, current) : std::nullopt;
   if (!link) return link;
-  const bool joins = (link->from == candidate && link->to == current) || (link->from == current && link->to == candidate);
+  const bool joins =
+      (link->from == candidate && link->to == current) || (link->from == current && link->to == candidate);
   if (!joins) throw std::invalid_argument("the registration returned a link between other poses than asked for");
   const std::string defect = FindDefect<Pose>(*link);
   if (!defect.empty()) throw std::invalid_argument(defect);
@@ -241,8 +249,7 @@ template <class Pose>
 void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
                                        const Registration<Pose>& registration) {
   // Odometry measures this displacement already.
-  const std::optional<PoseId> linked =
-      current.concatenated ? std::nullopt : std::optional<PoseId>(current.base);
+  const std::optional<PoseId> linked = current.concatenated ? std::nullopt : std::optional<PoseId>(current.base);
   std::vector<Candidate> settled;
   while (true) {
     auto best = candidates.end();
@@ -314,7 +321,8 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
   } else if (!decision.pose_gain) {
     decision.verdict = PoseVerdict::kNothingInRange;
   } else {
-    decision.verdict = *decision.pose_gain > options_.min_pose_gain ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
+    decision.verdict =
+        *decision.pose_gain > options_.min_pose_gain ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
   }
 }
 
@@ -332,8 +340,8 @@ void CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> lin
     } else if (input.odometry) {
       const auto& chain = current.T_base_current;
       const typename Pose::Jacobian information = chain.covariance.llt().solve(Pose::Jacobian::Identity());
-      update.factors.push_back(RelativePoseFactor<Pose>{current.base, input.id, chain.T_a_b,
-                                                        (information + information.transpose()) / 2});
+      update.factors.push_back(
+          RelativePoseFactor<Pose>{current.base, input.id, chain.T_a_b, (information + information.transpose()) / 2});
     }
     update.factors.insert(update.factors.end(), input.priors.begin(), input.priors.end());
   }

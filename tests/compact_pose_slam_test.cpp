@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cstring>
 #include <limits>
 
 #include "terse/core/batch_solver.h"
@@ -190,9 +191,7 @@ TEST(CompactScenes, HigherThresholdsKeepLess) {
 TYPED_TEST(CompactPoseSlamTest, TwoRunsAreTheSameToTheBit) {
   const auto graph = this->RandomGraph(5);
   auto a = RunCompact(graph, Strategy::kFpfl, 0.5, 3), b = RunCompact(graph, Strategy::kFpfl, 0.5, 3);
-  const auto same = [](const TypeParam& x, const TypeParam& y) {
-    return std::memcmp(&x, &y, sizeof(x)) == 0;
-  };
+  const auto same = [](const TypeParam& x, const TypeParam& y) { return std::memcmp(&x, &y, sizeof(x)) == 0; };
   for (int round = 0; round < 2; ++round) {
     const auto x = a.slam->Trajectory(), y = b.slam->Trajectory();
     ASSERT_EQ(x.size(), y.size());
@@ -203,6 +202,22 @@ TYPED_TEST(CompactPoseSlamTest, TwoRunsAreTheSameToTheBit) {
     }
     EXPECT_EQ(a.slam->Finish().chi2, b.slam->Finish().chi2);
   }
+}
+
+// Iterating to the optimum in the middle of a run changes nothing of the problem.
+TYPED_TEST(CompactPoseSlamTest, FinishInTheMiddle) {
+  const auto graph = this->RandomGraph(8, true);
+  GraphReplay<TypeParam> replay(graph);
+  CompactPoseSlam<TypeParam> slam(testing::OptionsFor(replay, Strategy::kApal));
+  const auto registration = replay.AsRegistration();
+  for (const auto& input : replay.Inputs()) {
+    slam.AddPose(input, registration);
+    if (slam.PosesSeen() % 9 == 0) {
+      EXPECT_TRUE(slam.Finish().Converged());
+    }
+  }
+  const auto batch = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kCompose));
+  EXPECT_NEAR(slam.Finish().chi2, batch.chi2, 1e-8 * batch.chi2);
 }
 
 // Misuse and failure ---------------------------------------------------------------------------------------------
@@ -346,7 +361,8 @@ TYPED_TEST(CompactPoseSlamTest, ALinkThatWasNotAskedForIsRefused) {
   }
 }
 
-// Links accepted before the callback threw stay, with their pose; without any, all is as before. Either way the run goes on.
+// Links accepted before the callback threw stay, with their pose; without any, all is as before. Either way the run
+// goes on.
 TYPED_TEST(CompactPoseSlamTest, ACallbackThatThrows) {
   using Pose = TypeParam;
   using C = Corridor<Pose>;
@@ -401,11 +417,13 @@ TYPED_TEST(CompactPoseSlamTest, RedundantPosesAreDroppedUntilTheirLinkInforms) {
     EXPECT_EQ(decision.Kept(), id == 0 || id == 2) << id;
   }
   const auto trajectory = slam.Trajectory();
-  for (std::size_t k = 0; k < 4; ++k) EXPECT_NEAR(trajectory[k].T_world_body.Translation()[0], static_cast<double>(k), 1e-9);
+  for (std::size_t k = 0; k < 4; ++k)
+    EXPECT_NEAR(trajectory[k].T_world_body.Translation()[0], static_cast<double>(k), 1e-9);
   // A prior or FIX keeps what is redundant otherwise.
   auto input = C::Input(4);
   input.odometry = C::Edge(2, 4, 1e6);
-  input.priors.push_back(PositionPriorFactor<Pose>{PoseId{4}, C::Step(4).Translation(), Matrix<Pose::kDim, Pose::kDim>::Identity()});
+  input.priors.push_back(
+      PositionPriorFactor<Pose>{PoseId{4}, C::Step(4).Translation(), Matrix<Pose::kDim, Pose::kDim>::Identity()});
   EXPECT_EQ(slam.AddPose(input, C::None()).verdict, PoseVerdict::kPrior);
   input = C::Input(5);
   input.odometry = C::Edge(4, 5, 1e6);

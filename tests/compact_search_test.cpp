@@ -1,4 +1,5 @@
-// The search of Algorithm 1 against an exhaustive one: every kept pose, covariances of the graph with the new pose in it.
+// The search of Algorithm 1 against an exhaustive one: every kept pose, covariances of the graph with the new pose in
+// it.
 
 #include <gtest/gtest.h>
 
@@ -27,8 +28,8 @@ std::map<std::int64_t, Expected> Search(const PoseGraph<Pose>& graph, const std:
     if (node.id == current) continue;
     UncertainPose<Pose> seen;
     seen.T_a_b = estimate(node.id).Inverse() * estimate(current);
-    seen.covariance = RelativeCovariance<Pose>(seen.T_a_b, marginals.Marginal(node.id), marginals.Cross(node.id, current),
-                                               marginals.Marginal(current));
+    seen.covariance = RelativeCovariance<Pose>(seen.T_a_b, marginals.Marginal(node.id),
+                                               marginals.Cross(node.id, current), marginals.Marginal(current));
     const double probability =
         RangeProbabilities<Pose>(ComputeDisplacement<Pose>(seen, options.view_axis), options.range).minCoeff();
     out[node.id.value] = {probability, InformationGain<Pose::kDof>(seen.covariance, options.link_covariance)};
@@ -196,7 +197,8 @@ TYPED_TEST(CompactSearchTest, FindsWhatAnExhaustiveSearchFindsOnRandomGraphs) {
 }
 
 template <class Pose>
-void ExpectExhaustiveOn(const PoseGraph<Pose>& graph, double share_of_range, double min_loop_gain, double min_pose_gain) {
+void ExpectExhaustiveOn(const PoseGraph<Pose>& graph, double share_of_range, double min_loop_gain,
+                        double min_pose_gain) {
   GraphReplay<Pose> replay(graph);
   auto options = testing::OptionsFor(replay, Strategy::kFpfl);
   options.range *= share_of_range;
@@ -227,9 +229,11 @@ TEST(CompactSearchScenes, FindsWhatAnExhaustiveSearchFindsWithPositionPriors) {
       graph.AddPose(PoseId{k});
       if (k > 0) {
         truth = truth * step;
-        graph.AddFactor(RelativePoseFactor<SE3>{PoseId{k - 1}, PoseId{k}, step, testing::RandomInformation<6>(rng, 100)});
+        graph.AddFactor(
+            RelativePoseFactor<SE3>{PoseId{k - 1}, PoseId{k}, step, testing::RandomInformation<6>(rng, 100)});
       }
-      if (k % 12 == 8) graph.AddFactor(PositionPriorFactor<SE3>{PoseId{k}, truth.Translation(), 1e6 * Matrix<3, 3>::Identity()});
+      if (k % 12 == 8)
+        graph.AddFactor(PositionPriorFactor<SE3>{PoseId{k}, truth.Translation(), 1e6 * Matrix<3, 3>::Identity()});
     }
     GraphReplay<SE3> replay(graph);
     auto options = testing::OptionsFor(replay, Strategy::kFpfl);
@@ -248,10 +252,12 @@ TYPED_TEST(CompactSearchTest, FindsWhatAnExhaustiveSearchFindsOnATree) {
     std::vector<TypeParam> truth;
     for (int k = 0; k < 60; ++k) {
       const int from = k % 6 == 0 && k > 0 ? static_cast<int>(rng() % static_cast<unsigned>(k)) : k - 1;
-      truth.push_back(k == 0 ? TypeParam() : truth[static_cast<std::size_t>(from)] * testing::RandomMotion<TypeParam>(rng, 0.5, 0.3));
+      truth.push_back(k == 0 ? TypeParam()
+                             : truth[static_cast<std::size_t>(from)] * testing::RandomMotion<TypeParam>(rng, 0.5, 0.3));
       graph.AddPose(PoseId{k});
       if (k == 0) continue;
-      graph.AddFactor(RelativePoseFactor<TypeParam>{PoseId{from}, PoseId{k}, truth[static_cast<std::size_t>(from)].Inverse() * truth.back(),
+      graph.AddFactor(RelativePoseFactor<TypeParam>{PoseId{from}, PoseId{k},
+                                                    truth[static_cast<std::size_t>(from)].Inverse() * truth.back(),
                                                     testing::RandomInformation<TypeParam::kDof>(rng, 300)});
     }
     GraphReplay<TypeParam> replay(graph);

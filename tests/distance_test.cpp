@@ -92,11 +92,14 @@ TYPED_TEST(DistanceTest, MeanAndCovarianceMatchSampling) {
 TYPED_TEST(DistanceTest, CovarianceIsThatOfTheNumericalJacobian) {
   constexpr int N = Displacement<TypeParam>::kSize;
   Random rng(2);
-  for (const Vector<3>& axis : {kZ, Vector<3>(1, 0, 0), Vector<3>(0, -1, 0), Vector<3>(0.6, 0, 0.8), Vector<3>(2, -1, 3)}) {
+  for (const Vector<3>& axis :
+       {kZ, Vector<3>(1, 0, 0), Vector<3>(0, -1, 0), Vector<3>(0.6, 0, 0.8), Vector<3>(2, -1, 3)}) {
     for (int trial = 0; trial < 50; ++trial) {
       const auto T = TestFixture::RandomDisplacement(rng, axis, 1);
       const auto displacement = ComputeDisplacement<TypeParam>(T, axis);
-      const auto f = [&](const typename TypeParam::Tangent& d) -> Vector<N> { return Displace(T.T_a_b.Retract(d), axis); };
+      const auto f = [&](const typename TypeParam::Tangent& d) -> Vector<N> {
+        return Displace(T.T_a_b.Retract(d), axis);
+      };
       const auto J = testing::CentralDifferences<TypeParam::kDof>(f, 1e-5);
       EXPECT_LT((displacement.mean - f(TypeParam::Tangent::Zero())).norm(), 1e-12 * (1 + displacement.mean.norm()));
       // Differences are good to about 1e-10 in J.
@@ -238,7 +241,8 @@ TEST(RangeProbabilities, AnglesWrap) {
 TEST(RangeProbabilities, BothSidesAreEquallyPrecise) {
   for (const double beyond : {1.0, 5.0, 10.0, 20.0}) {
     for (const double side : {-1.0, 1.0}) {
-      const auto p = RangeProbabilities<SE2>(MakeDisplacement<3>(side * (1 + beyond), side * (0.5 + beyond / 20), 1), Vector<3>(1, 1, 0.5));
+      const auto p = RangeProbabilities<SE2>(MakeDisplacement<3>(side * (1 + beyond), side * (0.5 + beyond / 20), 1),
+                                             Vector<3>(1, 1, 0.5));
       EXPECT_NEAR(p[0] / (NormalTail(beyond) - NormalTail(beyond + 2)), 1, 1e-9) << beyond;
     }
   }

@@ -101,7 +101,8 @@ TYPED_TEST(GraphReplayTest, EveryEdgeIsOfferedOnceAndInRange) {
 template <class Pose>
 RelativePoseFactor<Pose> Edge(Random& rng, std::int64_t from, std::int64_t to) {
   // Every pose is the identity up to noise, so that all edges agree.
-  return {PoseId{from}, PoseId{to}, testing::RandomMotion<Pose>(rng, 0.05, 0.05), testing::RandomInformation<Pose::kDof>(rng, 100)};
+  return {PoseId{from}, PoseId{to}, testing::RandomMotion<Pose>(rng, 0.05, 0.05),
+          testing::RandomInformation<Pose::kDof>(rng, 100)};
 }
 
 // No i -> i + 1, ids out of order and negative, all edges backward, odometry twice.

@@ -75,8 +75,6 @@ void ExpectOrderOfErrors(Scene kind, long poses, double min_pose_gain) {
   ASSERT_GT(dropped, 100);
   EXPECT_LT(error[1], error[0]);
   EXPECT_LT(error[2], error[1]);
-  std::printf("mean error of %d dropped poses, metres: v0 %.4f, v1 %.4f, v2 %.4f\n", dropped, error[0] / dropped, error[1] / dropped,
-              error[2] / dropped);
 }
 
 TEST(RecoveryScenes, ErrorsShrinkFromV0ToV2OnTheEllipse) { ExpectOrderOfErrors<SE3>(Scene::kEllipse, 0, 5); }
@@ -94,7 +92,8 @@ TYPED_TEST(RecoveryTest, KeptPosesAreTheSameInAllAndPosesAreInOrderOfArrival) {
   compact.min_pose_gain = 3;
   const auto run = RunCompact(replay, compact);
   ASSERT_GT(Dropped(*run.slam), 5);
-  const auto v0 = run.slam->Trajectory(Recovery::kV0), v1 = run.slam->Trajectory(Recovery::kV1), v2 = run.slam->Trajectory();
+  const auto v0 = run.slam->Trajectory(Recovery::kV0), v1 = run.slam->Trajectory(Recovery::kV1),
+             v2 = run.slam->Trajectory();
   ASSERT_EQ(v0.size(), replay.Inputs().size());
   for (std::size_t k = 0; k < v0.size(); ++k) {
     for (const auto* v : {&v0, &v1, &v2}) {
@@ -117,7 +116,8 @@ TYPED_TEST(RecoveryTest, V2IsTheMostLikelyChainBetweenItsEnds) {
   Random rng(9);
   std::vector<RelativePoseFactor<Pose>> steps;
   for (int k = 0; k < 3; ++k) {
-    steps.push_back({PoseId{k}, PoseId{k + 1}, testing::RandomMotion<Pose>(rng, 1, 0.3), testing::RandomInformation<B>(rng, 1000)});
+    steps.push_back(
+        {PoseId{k}, PoseId{k + 1}, testing::RandomMotion<Pose>(rng, 1, 0.3), testing::RandomInformation<B>(rng, 1000)});
   }
   CompactOptions<Pose> options;
   options.range.setConstant(10);
@@ -134,7 +134,8 @@ TYPED_TEST(RecoveryTest, V2IsTheMostLikelyChainBetweenItsEnds) {
     slam.AddPose(input, [&](PoseId a, PoseId b) -> std::optional<RelativePoseFactor<Pose>> {
       if (b.value < 3) return std::nullopt;
       const Pose exact = steps[0].T_from_to * steps[1].T_from_to * steps[2].T_from_to;
-      return RelativePoseFactor<Pose>{a, b, exact.Retract(Pose::Tangent::Constant(misfit)), 1e8 * Pose::Jacobian::Identity()};
+      return RelativePoseFactor<Pose>{a, b, exact.Retract(Pose::Tangent::Constant(misfit)),
+                                      1e8 * Pose::Jacobian::Identity()};
     });
   }
   ASSERT_EQ(Dropped(slam), 2);

@@ -1,8 +1,7 @@
 #pragma once
 // Graphs for tests of the compact run, and the run over them.
 
-#include <map>
-#include <stdexcept>
+#include <memory>
 #include <vector>
 
 #include "terse/compact/compact_pose_slam.h"
@@ -67,7 +66,8 @@ CompactRun<Pose> RunCompact(GraphReplay<Pose>& replay, const CompactOptions<Pose
 }
 
 template <class Pose>
-CompactRun<Pose> RunCompact(const PoseGraph<Pose>& graph, Strategy strategy, double min_loop_gain, double min_pose_gain) {
+CompactRun<Pose> RunCompact(const PoseGraph<Pose>& graph, Strategy strategy, double min_loop_gain,
+                            double min_pose_gain) {
   GraphReplay<Pose> replay(graph);
   auto options = OptionsFor(replay, strategy);
   options.min_loop_gain = min_loop_gain;

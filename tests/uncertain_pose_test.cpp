@@ -60,7 +60,9 @@ TYPED_TEST(UncertainPoseTest, CovariancesAreThoseOfTheNumericalJacobians) {
     const Pose mean = a.T_a_b * b.T_a_b;
     const auto first = [&](const Tangent& d) -> Tangent { return mean.Local(a.T_a_b.Retract(d) * b.T_a_b); };
     const auto second = [&](const Tangent& d) -> Tangent { return mean.Local(a.T_a_b * b.T_a_b.Retract(d)); };
-    const auto inverse = [&](const Tangent& d) -> Tangent { return a.T_a_b.Inverse().Local(a.T_a_b.Retract(d).Inverse()); };
+    const auto inverse = [&](const Tangent& d) -> Tangent {
+      return a.T_a_b.Inverse().Local(a.T_a_b.Retract(d).Inverse());
+    };
     const auto spread = [&](const auto& f, const auto& Sigma) -> typename Pose::Jacobian {
       const auto J = testing::CentralDifferences<Pose::kDof>(f, 1e-5);
       return J * Sigma * J.transpose();
@@ -78,7 +80,8 @@ TYPED_TEST(UncertainPoseTest, ComposedCovarianceMatchesSampling) {
   Random rng(3);
   const auto a = RandomUncertain<Pose>(rng, 0.005), b = RandomUncertain<Pose>(rng, 0.005);
   const auto ab = Compose(a, b);
-  const Eigen::MatrixXd La = Eigen::MatrixXd(a.covariance).llt().matrixL(), Lb = Eigen::MatrixXd(b.covariance).llt().matrixL();
+  const Eigen::MatrixXd La = Eigen::MatrixXd(a.covariance).llt().matrixL(),
+                        Lb = Eigen::MatrixXd(b.covariance).llt().matrixL();
   Matrix<N, N> covariance = Matrix<N, N>::Zero();
   for (int s = 0; s < kSamples; ++s) {
     const typename Pose::Tangent da = La * NormalVector<N>(rng), db = Lb * NormalVector<N>(rng);
@@ -114,7 +117,8 @@ TYPED_TEST(UncertainPoseTest, GainIsTheDifferenceOfLogDeterminants) {
   constexpr int B = TypeParam::kDof;
   Random rng(5);
   for (int trial = 0; trial < 100; ++trial) {
-    const Matrix<B, B> d = testing::RandomInformation<B>(rng, std::pow(10, trial % 5 - 2)), y = testing::RandomInformation<B>(rng);
+    const Matrix<B, B> d = testing::RandomInformation<B>(rng, std::pow(10, trial % 5 - 2)),
+                       y = testing::RandomInformation<B>(rng);
     const double gain = InformationGain<B>(d, y);
     EXPECT_NEAR(gain, DenseGain<B>(d, y), 1e-11 * (1 + gain));
     EXPECT_GT(gain, 0);
@@ -143,11 +147,17 @@ TYPED_TEST(UncertainPoseTest, GainIsWhatTheGraphGains) {
     const std::size_t i = rng() % 11, j = i + 1 + rng() % (11 - i);
     const PoseId from = seed % 2 == 0 ? poses[i].id : poses[j].id, to = seed % 2 == 0 ? poses[j].id : poses[i].id;
     const auto value = [&](PoseId id) { return random.truth[static_cast<std::size_t>(random.graph.IndexOf(id))]; };
-    const RelativePoseFactor<Pose> link{from, to, value(from).Inverse() * value(to), testing::RandomInformation<B>(rng, 50)};
-    const double gain = InformationGain<B>(marginals.Relative(poses[i].id, poses[j].id), SeenFrom(poses[i].id, link).covariance);
+    const RelativePoseFactor<Pose> link{from, to, value(from).Inverse() * value(to),
+                                        testing::RandomInformation<B>(rng, 50)};
+    const double gain =
+        InformationGain<B>(marginals.Relative(poses[i].id, poses[j].id), SeenFrom(poses[i].id, link).covariance);
 
     const auto half_log_det = [&](const PoseGraph<Pose>& graph) {
-      return Eigen::MatrixXd(testing::MakeDenseSystem(graph, random.truth).H.llt().matrixL()).diagonal().array().log().sum();
+      return Eigen::MatrixXd(testing::MakeDenseSystem(graph, random.truth).H.llt().matrixL())
+          .diagonal()
+          .array()
+          .log()
+          .sum();
     };
     PoseGraph<Pose> with_link = random.graph;
     with_link.AddFactor(link);

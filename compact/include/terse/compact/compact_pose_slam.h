@@ -50,8 +50,7 @@ struct CompactOptions {
 
 // Measures T_candidate_current, given in either direction; nullopt when the two do not match.
 template <class Pose>
-using Registration =
-    std::function<std::optional<RelativePoseFactor<Pose>>(PoseId candidate, PoseId current)>;
+using Registration = std::function<std::optional<RelativePoseFactor<Pose>>(PoseId candidate, PoseId current)>;
 
 template <class Pose>
 struct CompactInput {

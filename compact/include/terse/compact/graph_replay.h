@@ -20,7 +20,8 @@ class GraphReplay {
   // The edge between the two, each edge once: a second call gives the next of several. Refers to this object.
   Registration<Pose> AsRegistration();
 
-  // Per dimension, the largest displacement that any link measures, in either direction (of the odometry, if there are no links).
+  // Per dimension, the largest displacement that any link measures, in either direction (of the odometry, if there are
+  // no links).
   Vector<Displacement<Pose>::kSize> LinkRange(const Vector<3>& view_axis = {0, 0, 1}) const;
   // Mean covariance of the links (of the odometry, if there are none).
   typename Pose::Jacobian LinkCovariance() const;
@@ -28,7 +29,8 @@ class GraphReplay {
  private:
   std::vector<CompactInput<Pose>> inputs_;
   std::vector<RelativePoseFactor<Pose>> links_;
-  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>> waiting_;  // {smaller id, larger id} -> links, last first
+  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>>
+      waiting_;  // {smaller id, larger id} -> links, last first
 };
 
 extern template class GraphReplay<SE2>;
