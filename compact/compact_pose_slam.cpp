@@ -30,12 +30,18 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   if (!(o.range.array() > 0).all() || !o.range.allFinite()) {
     throw std::invalid_argument("compact options: the sensor range must be positive and finite");
   }
-  if (!(o.probability >= 0 && o.probability < 1)) throw std::invalid_argument("compact options: the probability must be in [0, 1)");
-  if (!(o.min_loop_gain >= 0) || !(o.min_pose_gain >= 0)) throw std::invalid_argument("compact options: gains must not be negative");
-  if (o.link_covariance.llt().info() != Eigen::Success) {
+  if (!(o.probability >= 0 && o.probability < 1))
+    throw std::invalid_argument("compact options: the probability must be in [0, 1)");
+  if (!(o.min_loop_gain >= 0) || !(o.min_pose_gain >= 0))
+    throw std::invalid_argument("compact options: gains must not be negative");
+  // Cholesky reads one triangle and lets NaN pass.
+  const bool symmetric = (o.link_covariance - o.link_covariance.transpose()).norm() <= 1e-9 * o.link_covariance.norm();
+  if (!symmetric || o.link_covariance.llt().info() != Eigen::Success) {
     throw std::invalid_argument("compact options: the link covariance is not positive definite");
   }
-  if (!(o.view_axis.norm() > 0)) throw std::invalid_argument("compact options: the view axis is zero");
+  if (!(o.view_axis.norm() > 0) || !o.view_axis.allFinite()) {
+    throw std::invalid_argument("compact options: the view axis is zero or not finite");
+  }
 }
 
 }  // namespace
@@ -106,6 +112,18 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
   if (input.odometry.has_value() == history_.empty()) {
     throw std::invalid_argument(name + (history_.empty() ? " is the first and has odometry" : " has no odometry"));
   }
+  if (input.T_world_body && !std::isfinite(input.T_world_body->Log().sum())) {
+    throw std::invalid_argument(name + " has a value that is not finite");
+  }
+  if (input.fixed && !input.T_world_body && !history_.empty())
+    throw std::invalid_argument(name + " is fixed but has no value");
+  for (const Factor<Pose>& prior : input.priors) {
+    const FactorPoses ends = PosesOf(prior);
+    if (ends.count != 1 || ends.first != input.id)
+      throw std::invalid_argument("a prior of " + name + " is no prior on it");
+    const std::string defect = FindDefect<Pose>(prior);
+    if (!defect.empty()) throw std::invalid_argument(defect);
+  }
   Current current;
   current.input = &input;
   if (history_.empty()) {
@@ -130,9 +148,11 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
 }
 
 // Minkowski's inequality for root mean squares: an error of the older pose's rotation acts over the new step's length.
+// The new step's own error is independent of what was known before, so that squares add.
 // Holds while the map only gains information; relinearisation moves it in the second order.
 template <class Pose>
-std::vector<typename CompactPoseSlam<Pose>::Bound> CompactPoseSlam<Pose>::PropagateBounds(const Current& current) const {
+std::vector<typename CompactPoseSlam<Pose>::Bound> CompactPoseSlam<Pose>::PropagateBounds(
+    const Current& current) const {
   const double unbounded = std::numeric_limits<double>::infinity();
   if (current.previous + 1 != static_cast<int>(history_.size())) {
     return std::vector<Bound>(bounds_.size(), Bound{unbounded, unbounded});
@@ -142,8 +162,8 @@ std::vector<typename CompactPoseSlam<Pose>::Bound> CompactPoseSlam<Pose>::Propag
   const double radians = RotationSpread<Pose>(current.odometry.covariance);
   std::vector<Bound> out(bounds_);
   for (Bound& bound : out) {
-    bound.metres += bound.radians * length + metres;
-    bound.radians += radians;
+    bound.metres = std::hypot(bound.metres + bound.radians * length, metres);
+    bound.radians = std::hypot(bound.radians, radians);
   }
   return out;
 }
@@ -157,17 +177,17 @@ std::vector<int> CompactPoseSlam<Pose>::Prefilter(const Current& current) const 
   const double root = std::sqrt(static_cast<double>(Pose::kDim));
   for (int i = 0; i < static_cast<int>(current.bounds.size()); ++i) {
     const Bound& bound = current.bounds[At(i)];
-    const double slack = deviations_ * bound.metres;
+    // A bound may be infinite.
+    const double slack = deviations_ > 0 ? deviations_ * bound.metres : 0;
     const Pose T_world_i = solver_->EstimateAt(i);
     if ((T_world_i.Translation() - current.T_world_body.Translation()).norm() > reach + root * slack) continue;
-    const UncertainPose<Pose> mean{T_world_i.Inverse() * current.T_world_body};
-    const auto displacement = ComputeDisplacement<Pose>(mean, options_.view_axis).mean.cwiseAbs().eval();
-    const bool near = (displacement.template head<Pose::kDim>().array() <=
-                       range.template head<Pose::kDim>().array() + slack).all();
-    // An angle's distribution wraps, so this bound is used only while it is well below pi.
-    const double angle_slack = deviations_ * bound.radians;
-    const double angle = displacement[Pose::kDim], angle_range = range[Pose::kDim];
-    if (near && (angle <= angle_range + angle_slack || angle_slack > 0.5)) out.push_back(i);
+    const auto mean = DisplacementMean<Pose>(T_world_i.Inverse() * current.T_world_body, options_.view_axis);
+    const bool near =
+        (mean.template head<Pose::kDim>().cwiseAbs().array() <= range.template head<Pose::kDim>().array() + slack)
+            .all();
+    if (!near) continue;
+    const double angle = AngleProbabilityBound(mean[Pose::kDim], bound.radians, range[Pose::kDim]);
+    if (angle > options_.probability) out.push_back(i);
   }
   return out;
 }
@@ -235,7 +255,8 @@ std::optional<RelativePoseFactor<Pose>> CompactPoseSlam<Pose>::Register(const Re
                                                                         PoseId candidate, PoseId current) const {
   std::optional<RelativePoseFactor<Pose>> link = registration ? registration(candidate, current) : std::nullopt;
   if (!link) return link;
-  const bool joins = (link->from == candidate && link->to == current) || (link->from == current && link->to == candidate);
+  const bool joins =
+      (link->from == candidate && link->to == current) || (link->from == current && link->to == candidate);
   if (!joins) throw std::invalid_argument("the registration returned a link between other poses than asked for");
   const std::string defect = FindDefect<Pose>(*link);
   if (!defect.empty()) throw std::invalid_argument(defect);
@@ -247,8 +268,7 @@ template <class Pose>
 void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
                                        const Registration<Pose>& registration) {
   // Odometry measures this displacement already.
-  const std::optional<PoseId> linked =
-      current.concatenated ? std::nullopt : std::optional<PoseId>(current.base);
+  const std::optional<PoseId> linked = current.concatenated ? std::nullopt : std::optional<PoseId>(current.base);
   std::vector<Candidate> settled;
   while (true) {
     auto best = candidates.end();
@@ -320,7 +340,8 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
   } else if (!decision.pose_gain) {
     decision.verdict = PoseVerdict::kNothingInRange;
   } else {
-    decision.verdict = *decision.pose_gain > options_.min_pose_gain ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
+    decision.verdict =
+        *decision.pose_gain > options_.min_pose_gain ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
   }
 }
 
@@ -331,14 +352,15 @@ void CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> lin
   GraphUpdate<Pose> update;
   const int new_links = static_cast<int>(links.size());
   if (!current.in_solver) {
-    update.poses.push_back({input.id, current.T_world_body, input.fixed});
+    const Pose start = input.fixed ? input.T_world_body.value_or(current.T_world_body) : current.T_world_body;
+    update.poses.push_back({input.id, start, input.fixed});
     if (input.odometry && !current.concatenated) {
       update.factors.push_back(*input.odometry);
     } else if (input.odometry) {
       const auto& chain = current.T_base_current;
       const typename Pose::Jacobian information = chain.covariance.llt().solve(Pose::Jacobian::Identity());
-      update.factors.push_back(RelativePoseFactor<Pose>{current.base, input.id, chain.T_a_b,
-                                                        (information + information.transpose()) / 2});
+      update.factors.push_back(
+          RelativePoseFactor<Pose>{current.base, input.id, chain.T_a_b, (information + information.transpose()) / 2});
     }
     update.factors.insert(update.factors.end(), input.priors.begin(), input.priors.end());
   }
@@ -346,7 +368,15 @@ void CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> lin
   if (update.poses.empty() && update.factors.empty()) return;
   solver_->Update(update);
   links_kept_ += new_links;
-  if (!current.in_solver) current.bounds.push_back({});
+  if (!current.in_solver) {
+    // The first absolute measurements release the anchor (gauge.h), and what it told of the map is lost.
+    const bool absolute = input.fixed || !input.priors.empty();
+    if (absolute && absolute_poses_++ < Pose::kDim) {
+      constexpr double kUnbounded = std::numeric_limits<double>::infinity();
+      std::fill(current.bounds.begin(), current.bounds.end(), Bound{kUnbounded, kUnbounded});
+    }
+    current.bounds.push_back({});
+  }
   current.in_solver = true;
   current.concatenated = false;
   current.T_world_body = solver_->Estimate(input.id);

@@ -12,7 +12,22 @@ double NormalCdf(double x) { return std::erfc(-x / std::sqrt(2.0)) / 2; }
 
 double ProbabilityWithin(double mean, double sigma, double low, double high) {
   if (sigma <= 0) return mean >= low && mean <= high ? 1 : 0;
+  // On the lower tail, whichever side the interval is on: the upper one would cancel.
+  if (low > mean) return NormalCdf((mean - low) / sigma) - NormalCdf((mean - high) / sigma);
   return NormalCdf((high - mean) / sigma) - NormalCdf((low - mean) / sigma);
+}
+
+// That a wrapped normal angle is within +-limit, limit < pi.
+double AngleProbabilityWithin(double mean, double sigma, double limit) {
+  if (sigma > 2 * kPi) return limit / kPi;  // uniform to 1e-8
+  const double period = 2 * kPi;
+  const double nearest = std::remainder(mean, period);
+  const int turns = 1 + static_cast<int>(std::ceil(6 * sigma / period));
+  double sum = 0;
+  for (int k = -turns; k <= turns; ++k) {
+    sum += ProbabilityWithin(nearest, sigma, k * period - limit, k * period + limit);
+  }
+  return sum;
 }
 
 // d angle / d phi (right perturbation) for the angle between e and R e, with the covariance of phi at hand to
@@ -28,15 +43,29 @@ Vector<3> AngleGradient(const SO3& R, const Vector<3>& e, const Matrix<3, 3>& Si
   const Matrix<3, 3> P = Matrix<3, 3>::Identity() - e * e.transpose();
   const Eigen::Matrix3d projected = P * Sigma_phi * P;
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(projected);
-  return eigen.eigenvectors().col(2);
+  return P * eigen.eigenvectors().col(2);  // without variance across e any direction comes, e itself too
 }
 
 }  // namespace
 
 template <>
+Vector<3> DisplacementMean<SE2>(const SE2& T_i_n, const Vector<3>&) {
+  return {T_i_n.Translation().x(), T_i_n.Translation().y(), T_i_n.Theta()};
+}
+
+template <>
+Vector<4> DisplacementMean<SE3>(const SE3& T_i_n, const Vector<3>& view_axis) {
+  const Vector<3> e = view_axis.normalized();
+  const Vector<3> seen = T_i_n.Rotation() * e;
+  Vector<4> out;
+  out << T_i_n.Translation(), std::atan2(e.cross(seen).norm(), e.dot(seen));
+  return out;
+}
+
+template <>
 Displacement<SE2> ComputeDisplacement<SE2>(const UncertainPose<SE2>& T_i_n, const Vector<3>&) {
   Displacement<SE2> out;
-  out.mean << T_i_n.T_a_b.Translation(), T_i_n.T_a_b.Theta();
+  out.mean = DisplacementMean<SE2>(T_i_n.T_a_b);
   const Matrix<3, 3> J = SE2::LocalJacobian(out.mean);
   out.covariance = J * T_i_n.covariance * J.transpose();
   return out;
@@ -46,10 +75,8 @@ template <>
 Displacement<SE3> ComputeDisplacement<SE3>(const UncertainPose<SE3>& T_i_n, const Vector<3>& view_axis) {
   const SO3& R = T_i_n.T_a_b.Rotation();
   const Vector<3> e = view_axis.normalized();
-  const Vector<3> seen = R * e;
-  const double angle = std::atan2(e.cross(seen).norm(), e.dot(seen));
   Displacement<SE3> out;
-  out.mean << T_i_n.T_a_b.Translation(), angle;
+  out.mean = DisplacementMean<SE3>(T_i_n.T_a_b, view_axis);
   Matrix<4, 6> J = Matrix<4, 6>::Zero();
   J.topLeftCorner<3, 3>() = R.Rotation();
   J.bottomRightCorner<1, 3>() = AngleGradient(R, e, T_i_n.covariance.bottomRightCorner<3, 3>()).transpose();
@@ -70,12 +97,17 @@ Vector<Displacement<Pose>::kSize> RangeProbabilities(const Displacement<Pose>& d
     } else if (limit >= kPi) {
       out[k] = 1;
     } else {
-      // The neighbours at 2 pi are the same angle.
-      out[k] = 0;
-      for (const double turn : {-2 * kPi, 0.0, 2 * kPi}) out[k] += ProbabilityWithin(mean, sigma, turn - limit, turn + limit);
+      out[k] = AngleProbabilityWithin(mean, sigma, limit);
     }
   }
   return out;
+}
+
+double AngleProbabilityBound(double mean, double sigma, double range) {
+  const double angle = std::abs(mean);
+  if (angle <= range) return 1;
+  // All that is in range lies beyond one of the two nearest ends; both tails grow with sigma.
+  return NormalCdf((range - angle) / sigma) + NormalCdf((angle + range - 2 * kPi) / sigma);
 }
 
 double DeviationsBeyondRange(double probability) {

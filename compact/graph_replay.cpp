@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 #include "terse/core/arrival.h"
 
@@ -20,6 +21,7 @@ std::pair<std::int64_t, std::int64_t> Pair(PoseId a, PoseId b) { return std::min
 
 template <class Pose>
 GraphReplay<Pose>::GraphReplay(const PoseGraph<Pose>& graph) {
+  if (graph.Poses().empty()) throw std::invalid_argument("the graph is empty");
   std::vector<int> rank(graph.Poses().size(), -1);
   const auto latest = [&](const Factor<Pose>& factor) {
     const FactorPoses ends = PosesOf(factor);

@@ -28,9 +28,9 @@ UncertainPose<Pose> SeenFrom(PoseId first, const RelativePoseFactor<Pose>& facto
   throw std::invalid_argument("the factor does not touch pose " + std::to_string(first.value));
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                         \
-  template UncertainPose<Pose> Compose<Pose>(const UncertainPose<Pose>&, const UncertainPose<Pose>&);   \
-  template UncertainPose<Pose> Invert<Pose>(const UncertainPose<Pose>&);                                \
+#define TERSE_INSTANTIATE(Pose)                                                                       \
+  template UncertainPose<Pose> Compose<Pose>(const UncertainPose<Pose>&, const UncertainPose<Pose>&); \
+  template UncertainPose<Pose> Invert<Pose>(const UncertainPose<Pose>&);                              \
   template UncertainPose<Pose> SeenFrom<Pose>(PoseId, const RelativePoseFactor<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

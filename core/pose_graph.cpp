@@ -11,12 +11,14 @@
 #include "terse/core/residual.h"
 
 namespace terse {
+
+bool IsFinite(const SE2& T) { return T.Translation().allFinite() && std::isfinite(T.Theta()); }
+bool IsFinite(const SE3& T) { return T.Translation().allFinite() && T.Rotation().Unit().coeffs().allFinite(); }
+
 namespace {
 
 std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
-bool IsFinite(const SE2& T) { return T.Translation().allFinite() && std::isfinite(T.Theta()); }
-bool IsFinite(const SE3& T) { return T.Translation().allFinite() && T.Rotation().Unit().coeffs().allFinite(); }
 template <int N>
 bool IsFinite(const Vector<N>& p) {
   return p.allFinite();

@@ -23,6 +23,13 @@ IncrementalOptions Exact() {
   return options;
 }
 
+template <class Pose>
+Pose NotFinite() {
+  typename Pose::Tangent d = Pose::Tangent::Zero();
+  d[0] = std::numeric_limits<double>::quiet_NaN();
+  return Pose().Retract(d);
+}
+
 // One pose per update with all factors to earlier poses, as an online user sends them.
 template <class Pose>
 std::vector<GraphUpdate<Pose>> OnePosePerUpdate(const PoseGraph<Pose>& graph) {
@@ -130,6 +137,7 @@ TYPED_TEST(IncrementalSolverTest, FailedUpdateLeavesEverythingAsItWas) {
       {{{fresh}}, {edge(known, known)}, {}},                      // to itself
       {{{fresh}}, {edge(known, fresh), edge(known, other)}, {}},  // unknown end
       {{{fresh}}, {indefinite}, {}},
+      {{{fresh, NotFinite<TypeParam>()}}, {edge(known, fresh)}, {}},
       {{{fresh}}, {infinite}, {}},
       {{}, {}, {FactorId{12345}}},
       {{}, {}, {FactorId{0}}},  // the only link of the first pose: the rest would float

@@ -13,7 +13,8 @@
 // cross-covariances follow exactly from those of the pose its chain hangs on.
 //
 // AddPose throws std::invalid_argument or NumericalError and leaves the state as before. What the registration callback
-// throws passes through; links accepted before it, and the pose with them, stay. Not thread-safe.
+// throws, or a defective link that it returns throws, passes through; links accepted before it, and the pose with
+// them, stay (none with kApal, which adds all links at once). Not thread-safe.
 
 #include <functional>
 #include <memory>
@@ -49,17 +50,16 @@ struct CompactOptions {
 
 // Measures T_candidate_current, given in either direction; nullopt when the two do not match.
 template <class Pose>
-using Registration =
-    std::function<std::optional<RelativePoseFactor<Pose>>(PoseId candidate, PoseId current)>;
+using Registration = std::function<std::optional<RelativePoseFactor<Pose>>(PoseId candidate, PoseId current)>;
 
 template <class Pose>
 struct CompactInput {
   PoseId id;
   // To an earlier pose, kept or dropped, in either direction. Absent for the very first pose only.
   std::optional<RelativePoseFactor<Pose>> odometry;
-  std::optional<Pose> T_world_body = std::nullopt;  // of the first pose; default identity
-  bool fixed = false;                               // anchored at T_world_body
-  std::vector<Factor<Pose>> priors;                 // a pose with priors is kept
+  std::optional<Pose> T_world_body = std::nullopt;  // of the first pose (default identity) and of fixed ones
+  bool fixed = false;                               // kept, and anchored at T_world_body
+  std::vector<Factor<Pose>> priors;                 // on this pose; a pose with priors is kept
   // The poses known to be linkable, if known: APAL registers these (twice if named twice) instead of searching.
   std::optional<std::vector<PoseId>> linkable = std::nullopt;
 };
@@ -163,6 +163,7 @@ class CompactPoseSlam {
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<Bound> bounds_;                    // by solver pose index, to the newest pose
   int links_kept_ = 0;
+  int absolute_poses_ = 0;  // fixed or with priors
 };
 
 extern template class CompactPoseSlam<SE2>;

@@ -29,7 +29,8 @@ class GraphReplay {
  private:
   std::vector<CompactInput<Pose>> inputs_;
   std::vector<RelativePoseFactor<Pose>> links_;
-  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>> waiting_;  // {smaller id, larger id} -> links, last first
+  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>>
+      waiting_;  // {smaller id, larger id} -> links, last first
 };
 
 extern template class GraphReplay<SE2>;

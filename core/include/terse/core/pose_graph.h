@@ -112,6 +112,9 @@ FactorPoses PosesOf(const Factor<Pose>& factor);
 template <class Pose>
 std::string FindDefect(const Factor<Pose>& factor);
 
+bool IsFinite(const SE2& T);
+bool IsFinite(const SE3& T);
+
 // chi2 = sum of r' Omega r over all factors at the graph's pose values (no 1/2).
 // Throws std::invalid_argument if a pose has no value.
 template <class Pose>

@@ -1,0 +1,275 @@
+// The search of Algorithm 1 against an exhaustive one: every kept pose, covariances of the graph with the new pose in
+// it.
+
+#include <gtest/gtest.h>
+
+#include "terse/compact/information.h"
+#include "terse/covariance/marginals.h"
+#include "testing_compact.h"
+
+namespace terse {
+namespace {
+
+using testing::Random;
+
+struct Expected {
+  double probability = 0, gain = 0;
+};
+
+// All poses of the solver's graph but `current` itself, seen from it.
+template <class Pose>
+std::map<std::int64_t, Expected> Search(const PoseGraph<Pose>& graph, const std::vector<Pose>& points,
+                                        const std::vector<Pose>& estimates, PoseId current,
+                                        const CompactOptions<Pose>& options) {
+  std::map<std::int64_t, Expected> out;
+  const Marginals<Pose> marginals(graph, points);
+  const auto estimate = [&](PoseId id) { return estimates[static_cast<std::size_t>(graph.IndexOf(id))]; };
+  for (const auto& node : graph.Poses()) {
+    if (node.id == current) continue;
+    UncertainPose<Pose> seen;
+    seen.T_a_b = estimate(node.id).Inverse() * estimate(current);
+    seen.covariance = RelativeCovariance<Pose>(seen.T_a_b, marginals.Marginal(node.id),
+                                               marginals.Cross(node.id, current), marginals.Marginal(current));
+    const double probability =
+        RangeProbabilities<Pose>(ComputeDisplacement<Pose>(seen, options.view_axis), options.range).minCoeff();
+    out[node.id.value] = {probability, InformationGain<Pose::kDof>(seen.covariance, options.link_covariance)};
+  }
+  return out;
+}
+
+// The anchor's 1e8 takes eight digits of the covariances of poses near it, the two ways sum in different orders.
+constexpr double kRelative = 1e-6;
+
+// Follows a run: the chain of the newest pose, from the decisions.
+template <class Pose>
+class Follower {
+ public:
+  Follower(GraphReplay<Pose>& replay, const CompactOptions<Pose>& options)
+      : options_(options), slam_(options), registration_(replay.AsRegistration()) {
+    for (const auto& input : replay.Inputs()) {
+      if (::testing::Test::HasFatalFailure()) return;
+      Step(input);
+    }
+  }
+  int compared = 0, dropped = 0, links = 0;
+  long kept_at_steps = 0;
+
+ private:
+  struct Chain {
+    PoseId base;
+    UncertainPose<Pose> T_base_pose;
+  };
+
+  void Step(const CompactInput<Pose>& input) {
+    SCOPED_TRACE("pose " + std::to_string(input.id.value));
+    if (!input.odometry) {
+      slam_.AddPose(input, registration_);
+      chains_[input.id.value] = {input.id, {}};
+      return;
+    }
+    const PoseId previous = input.odometry->from == input.id ? input.odometry->to : input.odometry->from;
+    Chain chain = chains_.at(previous.value);
+    const bool direct = chain.base == previous;
+    chain.T_base_pose = Compose(chain.T_base_pose, SeenFrom(previous, *input.odometry));
+    auto graph = slam_.Solver().Graph();
+    auto points = slam_.Solver().LinearizationPoints(), estimates = slam_.Solver().Estimates();
+    const auto base = static_cast<std::size_t>(graph.IndexOf(chain.base));
+    const Pose& T_base_pose = chain.T_base_pose.T_a_b;
+    graph.AddPose(input.id);
+    graph.AddFactor(RelativePoseFactor<Pose>{chain.base, input.id, T_base_pose, Information(chain.T_base_pose)});
+    points.push_back(points[base] * T_base_pose);
+    estimates.push_back(estimates[base] * T_base_pose);
+    const auto before = Search(graph, points, estimates, input.id, options_);
+
+    std::optional<PoseId> first_tried;
+    const auto decision = slam_.AddPose(input, [&](PoseId candidate, PoseId current) {
+      if (!first_tried) first_tried = candidate;
+      return registration_(candidate, current);
+    });
+    kept_at_steps += static_cast<long>(before.size());
+    links += decision.links_accepted;
+    dropped += decision.Kept() ? 0 : 1;
+    CheckBefore(before, decision, first_tried, direct ? std::optional<PoseId>(previous) : std::nullopt);
+    if (decision.links_accepted > 0) CheckAfter(input.id, before, decision);
+    chains_[input.id.value] = decision.Kept() ? Chain{input.id, {}} : chain;
+  }
+
+  bool InRange(const Expected& e) const { return e.probability > options_.probability; }
+  bool Close(const Expected& e) const { return std::abs(e.probability - options_.probability) < kRelative; }
+
+  void CheckBefore(const std::map<std::int64_t, Expected>& before, const Decision& decision,
+                   std::optional<PoseId> first_tried, std::optional<PoseId> linked) {
+    double least = 1e300, most = -1;
+    for (const auto& [id, e] : before) {
+      if (!InRange(e)) continue;
+      least = std::min(least, e.gain);
+      if (!linked || id != linked->value) most = std::max(most, e.gain);
+    }
+    ASSERT_EQ(decision.pose_gain.has_value(), least < 1e300);
+    if (decision.pose_gain) {
+      ASSERT_NEAR(*decision.pose_gain, least, kRelative * (1 + least));
+    }
+    if (first_tried) {
+      ASSERT_NEAR(before.at(first_tried->value).gain, most, kRelative * (1 + most)) << "the best is tried first";
+    } else {
+      ASSERT_LE(most, options_.min_loop_gain * (1 + kRelative) + kRelative);
+    }
+    if (decision.links_accepted == 0) Compare(before, decision.candidates, {});
+  }
+
+  // What was left after the last accepted link, in the graph as it is now.
+  void CheckAfter(PoseId current, const std::map<std::int64_t, Expected>& before, const Decision& decision) {
+    const auto& solver = slam_.Solver();
+    auto after = Search(solver.Graph(), solver.LinearizationPoints(), solver.Estimates(), current, options_);
+    for (const auto& [id, e] : before) {
+      if (!InRange(e)) after.erase(id);
+    }
+    std::vector<Candidate> rest;
+    std::set<std::int64_t> tried;
+    for (const Candidate& c : decision.candidates) {
+      // Those tried, in vain or not, keep the numbers they were tried with.
+      if (c.tried) {
+        ASSERT_TRUE(InRange(before.at(c.id.value)) || Close(before.at(c.id.value)));
+        tried.insert(c.id.value);
+      } else {
+        rest.push_back(c);
+      }
+    }
+    Compare(after, rest, tried);
+  }
+
+  void Compare(const std::map<std::int64_t, Expected>& expected, const std::vector<Candidate>& candidates,
+               const std::set<std::int64_t>& without) {
+    std::map<std::int64_t, Candidate> found;
+    for (const Candidate& c : candidates) ASSERT_TRUE(found.emplace(c.id.value, c).second) << "twice";
+    for (const auto& [id, e] : expected) {
+      if (without.count(id) != 0 || Close(e)) continue;
+      ASSERT_EQ(found.count(id), InRange(e) ? 1u : 0u) << "candidate " << id << " of probability " << e.probability;
+      if (!InRange(e)) continue;
+      ASSERT_NEAR(found[id].probability, e.probability, kRelative * e.probability);
+      ASSERT_NEAR(found[id].gain, e.gain, kRelative * (1 + e.gain));
+      ++compared;
+    }
+  }
+
+  static typename Pose::Jacobian Information(const UncertainPose<Pose>& chain) {
+    const typename Pose::Jacobian information = chain.covariance.inverse();
+    return (information + information.transpose()) / 2;
+  }
+
+  CompactOptions<Pose> options_;
+  CompactPoseSlam<Pose> slam_;
+  Registration<Pose> registration_;
+  std::map<std::int64_t, Chain> chains_;
+};
+
+template <class Pose>
+class CompactSearchTest : public ::testing::Test {};
+using Groups = ::testing::Types<SE2, SE3>;
+TYPED_TEST_SUITE(CompactSearchTest, Groups);
+
+TYPED_TEST(CompactSearchTest, FindsWhatAnExhaustiveSearchFindsOnRandomGraphs) {
+  int compared = 0, links = 0, dropped = 0;
+  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random rng(seed);
+    testing::RandomGraphOptions graph;
+    graph.poses = 45;
+    graph.loops_per_pose = 0.3;
+    graph.id_stride = 3;
+    graph.priors = seed % 4 == 0;
+    GraphReplay<TypeParam> replay(testing::MakeRandomGraph<TypeParam>(rng, graph).graph);
+    auto options = testing::OptionsFor(replay, Strategy::kFpfl);
+    options.range *= seed % 3 == 0 ? 0.2 : 0.5;
+    options.range[TypeParam::kDim] = seed % 2 == 0 ? 3.1 : 1;
+    options.probability = seed % 5 == 0 ? 0.6 : seed % 5 == 1 ? 0.001 : 0.1;
+    options.min_loop_gain = 0.1;
+    options.min_pose_gain = 1.5;
+    const Follower<TypeParam> run(replay, options);
+    compared += run.compared;
+    links += run.links;
+    dropped += run.dropped;
+    if (::testing::Test::HasFatalFailure()) return;
+  }
+  EXPECT_GT(compared, 1000);
+  EXPECT_GT(links, 30);
+  EXPECT_GT(dropped, 20);
+}
+
+template <class Pose>
+void ExpectExhaustiveOn(const PoseGraph<Pose>& graph, double share_of_range, double min_loop_gain,
+                        double min_pose_gain) {
+  GraphReplay<Pose> replay(graph);
+  auto options = testing::OptionsFor(replay, Strategy::kFpfl);
+  options.range *= share_of_range;
+  options.min_loop_gain = min_loop_gain;
+  options.min_pose_gain = min_pose_gain;
+  const Follower<Pose> run(replay, options);
+  EXPECT_GT(run.compared, 150);
+  EXPECT_GT(run.links, 3);
+  EXPECT_GT(run.dropped, 5);
+  EXPECT_LT(run.compared, run.kept_at_steps) << "some poses were out of range";
+}
+
+TEST(CompactSearchScenes, FindsWhatAnExhaustiveSearchFinds) {
+  ExpectExhaustiveOn(testing::MakeScene<SE3>(Scene::kEllipse, 0, 1).graph, 1, 1, 3);
+  ExpectExhaustiveOn(testing::MakeScene<SE2>(Scene::kManhattan, 200, 1).graph, 1.5, 1, 2);
+  ExpectExhaustiveOn(testing::MakeScene<SE3>(Scene::kGarage, 150, 1).graph, 8, 1, 8);
+}
+
+// Priors take over from the anchor that held the frame, and what the anchor told is lost: bounds must not outlive it.
+TEST(CompactSearchScenes, FindsWhatAnExhaustiveSearchFindsWithPositionPriors) {
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random rng(seed);
+    PoseGraph<SE3> graph;
+    SE3 truth;
+    for (int k = 0; k < 40; ++k) {
+      const SE3 step = testing::RandomMotion<SE3>(rng, 1, 0.3);
+      graph.AddPose(PoseId{k});
+      if (k > 0) {
+        truth = truth * step;
+        graph.AddFactor(
+            RelativePoseFactor<SE3>{PoseId{k - 1}, PoseId{k}, step, testing::RandomInformation<6>(rng, 100)});
+      }
+      if (k % 12 == 8)
+        graph.AddFactor(PositionPriorFactor<SE3>{PoseId{k}, truth.Translation(), 1e6 * Matrix<3, 3>::Identity()});
+    }
+    GraphReplay<SE3> replay(graph);
+    auto options = testing::OptionsFor(replay, Strategy::kFpfl);
+    options.range = Vector<4>(2, 2, 2, 1);
+    options.min_pose_gain = 1;
+    const Follower<SE3> run(replay, options);
+    EXPECT_GT(run.compared, 20);
+  }
+}
+
+// Odometry need not come from the pose before: an older one, kept or dropped, starts a branch.
+TYPED_TEST(CompactSearchTest, FindsWhatAnExhaustiveSearchFindsOnATree) {
+  for (const double probability : {0.1, 0.6}) {
+    Random rng(31);
+    PoseGraph<TypeParam> graph;
+    std::vector<TypeParam> truth;
+    for (int k = 0; k < 60; ++k) {
+      const int from = k % 6 == 0 && k > 0 ? static_cast<int>(rng() % static_cast<unsigned>(k)) : k - 1;
+      truth.push_back(k == 0 ? TypeParam()
+                             : truth[static_cast<std::size_t>(from)] * testing::RandomMotion<TypeParam>(rng, 0.5, 0.3));
+      graph.AddPose(PoseId{k});
+      if (k == 0) continue;
+      graph.AddFactor(RelativePoseFactor<TypeParam>{PoseId{from}, PoseId{k},
+                                                    truth[static_cast<std::size_t>(from)].Inverse() * truth.back(),
+                                                    testing::RandomInformation<TypeParam::kDof>(rng, 300)});
+    }
+    GraphReplay<TypeParam> replay(graph);
+    auto options = testing::OptionsFor(replay, Strategy::kFpfl);
+    options.range.setConstant(1.5);
+    options.probability = probability;
+    options.min_pose_gain = 2;
+    const Follower<TypeParam> run(replay, options);
+    EXPECT_GT(run.compared, 100);
+    EXPECT_GT(run.dropped, 3);
+  }
+}
+
+}  // namespace
+}  // namespace terse
