@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <filesystem>
 #include <iostream>
 #include <numeric>
 #include <set>
@@ -43,6 +44,15 @@ const char* const* TangentNames() {
 }
 
 }  // namespace
+
+void RequireWritable(const std::string& path) {
+  namespace fs = std::filesystem;
+  std::error_code error;
+  const fs::file_status status = fs::status(path, error);
+  // Merely opening a pipe would already be seen at its other end.
+  if (path.empty() || (fs::exists(status) && !fs::is_regular_file(status) && !fs::is_directory(status))) return;
+  AtomicFile file(path);  // removed again
+}
 
 double SecondsNow() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -124,6 +134,14 @@ void WriteTrajectory(const Trajectory& trajectory, const std::string& path) {
   kitti ? WriteKitti(trajectory, path) : WriteTum(trajectory, path);
 }
 
+std::string FindTrajectoryPathDefect(const std::string& path) {
+  const std::string extension = std::filesystem::path(path).extension().string();
+  for (const char* known : {"", ".tum", ".kitti", ".txt"}) {
+    if (extension == known) return "";
+  }
+  return path + ": the extension must be .tum, .kitti or .txt (KITTI)";
+}
+
 template <class Pose>
 void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename Pose::Jacobian>& covariances,
                       const std::string& path) {
@@ -144,9 +162,9 @@ void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename
   file.Commit();
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                     \
-  template EdgeCounts CountEdges<Pose>(const PoseGraph<Pose>&);                                     \
-  template Trajectory MakeTrajectory<Pose>(const std::vector<PoseId>&, const std::vector<Pose>&);   \
+#define TERSE_INSTANTIATE(Pose)                                                                        \
+  template EdgeCounts CountEdges<Pose>(const PoseGraph<Pose>&);                                        \
+  template Trajectory MakeTrajectory<Pose>(const std::vector<PoseId>&, const std::vector<Pose>&);      \
   template void WriteCovariances<Pose>(const std::vector<PoseId>&, const std::vector<Pose::Jacobian>&, \
                                        const std::string&);
 TERSE_INSTANTIATE(SE2)
