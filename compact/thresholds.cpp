@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 #include "terse/compact/information.h"
 
@@ -37,6 +38,9 @@ Vector<Displacement<Pose>::kSize> LeastRange(const Displacement<Pose>& displacem
 
 template <class Pose>
 Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options) {
+  if (!(options.share > 0 && options.share <= 1) || !(options.probability >= 0 && options.probability < 1)) {
+    throw std::invalid_argument("sample options: the share must be in (0, 1], the probability in [0, 1)");
+  }
   GraphReplay<Pose> replay(graph);
   CompactOptions<Pose> everything;
   everything.strategy = Strategy::kApal;

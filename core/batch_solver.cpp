@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
-#include <sstream>
 #include <stdexcept>
 
 #include "stopwatch.h"
+#include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/gauge.h"
 #include "terse/core/residual.h"
@@ -179,6 +179,9 @@ class Run {
         break;
       }
       TakeStep();
+      if (!done_ && options_.progress && !options_.progress(result_.iterations, result_.chi2)) {
+        Finish(Termination::kStopped, "stopped by the caller");
+      }
     }
     if (best_) Accept(std::move(*best_));
     // The factor that is handed out is the undamped one at the final values.
@@ -210,8 +213,11 @@ class Run {
   void TakeStep() {
     ++result_.iterations;
     const double lambda = damping_control_.lambda();
-    if (!factored_here_ || lambda > 0) factored_here_ = RefactorAt(lambda) && lambda == 0;
-    if (!factored_here_ && lambda == 0) return Reject("the system is not positive definite");
+    if (!factored_here_ || lambda > 0) {
+      factored_here_ = false;
+      if (!RefactorAt(lambda)) return Reject("the system is not positive definite");
+      factored_here_ = lambda == 0;
+    }
     std::vector<double> d;
     {
       ScopedTimer timer(result_.seconds.solve);
@@ -236,17 +242,13 @@ class Run {
     } else if (!small && MayClimb(trial.cost, lambda)) {
       if (!best_) best_ = State{result_.T_world_body, result_.chi2, cost_};
       Accept(std::move(trial));
-    } else if (!small) {
-      return Reject("chi2 rose from " + std::to_string(cost_) + " to " + std::to_string(trial.cost));
+    } else if (!small || lambda > 0) {
+      return Reject("chi2 would rise from " + Shortest(cost_) + " to " + Shortest(trial.cost));
     }
     if (best_ && ++climbing_ > kClimb) Retreat();
-    if (options_.progress && !options_.progress(result_.iterations, result_.chi2)) {
-      return Finish(Termination::kStopped, "stopped by the caller");
-    }
-    if (!best_ && (small || (decrease >= 0 && decrease <= tolerance && lambda == 0))) {
-      std::ostringstream message;
-      message << "chi2 changes by less than " << options_.relative_tolerance << " of itself";
-      Finish(Termination::kConverged, message.str());
+    if (!best_ && lambda == 0 && (small || (decrease >= 0 && decrease <= tolerance))) {
+      Finish(Termination::kConverged,
+             "chi2 changes by less than " + Shortest(options_.relative_tolerance) + " of itself");
     }
   }
 
@@ -280,7 +282,7 @@ class Run {
     if (best_) return Retreat();
     if (options_.method == Method::kGaussNewton) return Finish(Termination::kDiverged, why);
     damping_control_.Reject();
-    if (damping_control_.lambda() > 1e16) Finish(Termination::kDiverged, why + ", and no damping helps");
+    if (damping_control_.lambda() > 1e16) Finish(Termination::kStalled, why + ", and no damping helps");
   }
 
   static constexpr int kClimb = 4;
@@ -305,6 +307,7 @@ const char* Name(Termination termination) {
   switch (termination) {
     case Termination::kConverged: return "converged";
     case Termination::kMaxIterations: return "max_iterations";
+    case Termination::kStalled: return "stalled";
     case Termination::kDiverged: return "diverged";
     case Termination::kNotPositiveDefinite: return "not_positive_definite";
     case Termination::kStopped: return "stopped";

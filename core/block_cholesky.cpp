@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "version.h"
+
 namespace terse {
 namespace {
 
@@ -21,7 +23,7 @@ void BlockCholesky<B>::SetFactor(int slot, const LinearFactor<B>& factor) {
 
 template <int B>
 bool BlockCholesky<B>::Refactor(const std::vector<double>& damping) {
-  ++version_;
+  version_ = internal::NextVersion();
   std::vector<int> order = TopDown();
   for (auto it = order.rbegin(); it != order.rend(); ++it) {
     if (FactorFront(fronts_[At(*it)], {}, damping) >= 0) return false;

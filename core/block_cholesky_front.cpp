@@ -12,6 +12,8 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
+constexpr double kSingular = 4e-15;
+
 template <int B>
 using BlockMap = Eigen::Map<Eigen::Matrix<double, B, B>, Eigen::Unaligned, Eigen::OuterStride<>>;
 template <int B>
@@ -63,14 +65,31 @@ int BlockCholesky<B>::FactorFront(Front& front, const std::vector<Front>& pendin
   }
   const int failed = internal::Kernels().factor_panel(front.panel.data(), rows, p);
   if (failed >= 0) return front.pivots[At(failed / B)];
+  for (int c = 0; c < p; ++c) {
+    const double pivot = front.panel[At(c) * At(rows) + At(c)];
+    // What is left of a direction that nothing measures is rounding of what was assembled.
+    if (pivot * pivot <= kSingular * DiagonalEntry(front.pivots[At(c / B)], c % B)) return front.pivots[At(c / B)];
+  }
   internal::Kernels().subtract_outer(front.update.data(), n, front.panel.data(), rows, p);
   for (int c = 0; c < p; ++c) {
     front.subtree_log_det += 2 * std::log(front.panel[At(c) * At(rows) + At(c)]);
     const double y = front.panel[At(c) * At(rows) + At(rows - 1)];
     front.subtree_y2 += y * y;
   }
+  if (!std::isfinite(front.subtree_y2)) return front.pivots.front();
   front.fresh = true;
   return -1;
+}
+
+// Of H, without damping.
+template <int B>
+double BlockCholesky<B>::DiagonalEntry(int variable, int scalar) const {
+  double sum = 0;
+  for (const int slot : slots_of_[At(variable)]) {
+    const LinearFactor<B>& f = factors_[At(slot)];
+    sum += (f.first == variable ? f.A_first : f.A_second).col(scalar).squaredNorm();
+  }
+  return sum;
 }
 
 template <int B>
@@ -120,6 +139,7 @@ void BlockCholesky<B>::AssembleChild(Front& front, const Front& child) {
 
 #define TERSE_INSTANTIATE(B)                                                                                 \
   template int BlockCholesky<B>::FactorFront(Front&, const std::vector<Front>&, const std::vector<double>&); \
+  template double BlockCholesky<B>::DiagonalEntry(int, int) const;                                           \
   template void BlockCholesky<B>::AssembleFactor(Front&, const LinearFactor<B>&);                            \
   template void BlockCholesky<B>::AssembleChild(Front&, const Front&);
 TERSE_INSTANTIATE(3)

@@ -2,17 +2,25 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 #include <stdexcept>
 
 #include "elimination.h"
 #include "stopwatch.h"
 #include "terse/core/block_cholesky.h"
+#include "version.h"
 
 namespace terse {
 namespace {
 
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+// Room for `more` elements, growing geometrically as push_back would.
+template <class T>
+void Reserve(std::vector<T>& v, size_t more) {
+  if (v.size() + more > v.capacity()) v.reserve(std::max(v.size() + more, 2 * v.capacity()));
+}
 
 }  // namespace
 
@@ -40,21 +48,29 @@ void BlockCholesky<B>::Detach(int slot) {
   for (const int v : {f.first, f.second}) {
     if (v < 0) continue;
     auto& list = slots_of_[At(v)];
-    list.erase(std::lower_bound(list.begin(), list.end(), slot));
+    const auto it = std::lower_bound(list.begin(), list.end(), slot);
+    if (it != list.end() && *it == slot) list.erase(it);
   }
 }
 
+// Leaves `undo` able to take back what was done so far, whatever throws.
 template <int B>
 void BlockCholesky<B>::ApplyFactors(Changes& changes, std::vector<int>& added_slots, Undo& undo) {
   undo.variables = Variables();
+  undo.added.reserve(changes.added.size());
+  undo.replaced.reserve(changes.replaced.size());
+  undo.removed.reserve(changes.removed.size());
+  added_slots.reserve(changes.added.size());
+  // Neither committing nor taking back allocates.
+  Reserve(free_slots_, changes.added.size() + changes.removed.size());
   const size_t total = front_of_.size() + At(changes.new_variables);
-  front_of_.resize(total, -1);
   slots_of_.resize(total);
   row_of_.resize(total, -1);
   solution_.resize(total * B, 0.0);
+  front_of_.resize(total, -1);
   for (const int slot : changes.removed) {
-    Detach(slot);
     undo.removed.emplace_back(slot, factors_[At(slot)]);
+    Detach(slot);
     factors_[At(slot)].first = -1;
   }
   for (auto& [slot, factor] : changes.replaced) {
@@ -70,16 +86,14 @@ void BlockCholesky<B>::ApplyFactors(Changes& changes, std::vector<int>& added_sl
       free_slots_.pop_back();
       factors_[At(slot)] = factor;
     }
-    Attach(slot);
     undo.added.push_back(slot);
     added_slots.push_back(slot);
+    Attach(slot);
   }
-  free_slots_.insert(free_slots_.end(), changes.removed.begin(), changes.removed.end());
 }
 
 template <int B>
 void BlockCholesky<B>::RevertFactors(const Undo& undo) {
-  free_slots_.resize(free_slots_.size() - undo.removed.size());
   for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) {
     Detach(*it);
     factors_[At(*it)].first = -1;
@@ -88,7 +102,7 @@ void BlockCholesky<B>::RevertFactors(const Undo& undo) {
   for (const auto& [slot, factor] : undo.replaced) factors_[At(slot)] = factor;
   for (const auto& [slot, factor] : undo.removed) {
     factors_[At(slot)] = factor;
-    Attach(slot);
+    Attach(slot);  // into lists that had room for it
   }
   const size_t total = At(undo.variables);
   front_of_.resize(total);
@@ -110,14 +124,13 @@ struct BlockCholesky<B>::Region {
 
 // Fronts of the touched variables and their ancestors. Marks them.
 template <int B>
-std::vector<int> BlockCholesky<B>::AffectedFronts(const Changes& changes) {
+void BlockCholesky<B>::AffectedFronts(const Changes& changes, std::vector<int>& affected) {
   is_affected_.resize(fronts_.size(), 0);
-  std::vector<int> affected;
   const auto touch = [&](int variable) {
     if (variable < 0 || variable >= Variables()) return;
     for (int f = front_of_[At(variable)]; f >= 0 && is_affected_[At(f)] == 0; f = fronts_[At(f)].parent) {
-      is_affected_[At(f)] = 1;
       affected.push_back(f);
+      is_affected_[At(f)] = 1;
     }
   };
   const auto touch_factor = [&](const LinearFactor<B>& factor) {
@@ -127,7 +140,6 @@ std::vector<int> BlockCholesky<B>::AffectedFronts(const Changes& changes) {
   for (const auto& factor : changes.added) touch_factor(factor);
   for (const auto& change : changes.replaced) touch_factor(factors_[At(change.first)]);
   for (const int slot : changes.removed) touch_factor(factors_[At(slot)]);
-  return affected;
 }
 
 // Variables, factors and orphaned separators of the affected fronts and the new variables. Fills local_.
@@ -190,16 +202,16 @@ std::vector<typename BlockCholesky<B>::Front> BlockCholesky<B>::MakeFronts(const
   return pending;
 }
 
-// The pending fronts take the place of the affected ones.
+// The pending fronts take the place of the affected ones. All memory was reserved before.
 template <int B>
-void BlockCholesky<B>::Replace(const std::vector<int>& affected, std::vector<Front> pending) {
+void BlockCholesky<B>::Replace(const std::vector<int>& affected, std::vector<Front>& pending,
+                               std::vector<int>& id_of) noexcept {
   const auto gone = [&](int f) { return is_affected_[At(f)] != 0; };
   roots_.erase(std::remove_if(roots_.begin(), roots_.end(), gone), roots_.end());
   for (const int f : affected) {
     fronts_[At(f)] = Front();
     free_fronts_.push_back(f);
   }
-  std::vector<int> id_of(pending.size());
   for (int& id : id_of) {
     if (free_fronts_.empty()) {
       id = static_cast<int>(fronts_.size());
@@ -225,17 +237,36 @@ template <int B>
 void BlockCholesky<B>::CheckChanges(const Changes& changes) const {
   const int variables = Variables() + changes.new_variables;
   for (const auto& f : changes.added) {
-    if (f.first < 0 || f.first >= variables || f.second >= variables) {
-      throw std::invalid_argument("a factor names an unknown variable");
+    if (f.first < 0 || f.first >= variables || f.second >= variables || f.first == f.second) {
+      throw std::invalid_argument("a factor names an unknown variable, or the same one twice");
     }
   }
+  std::set<int> touched;
   const auto check_slot = [&](int slot) {
     if (slot < 0 || At(slot) >= factors_.size() || factors_[At(slot)].first < 0) {
       throw std::invalid_argument("no such factor slot");
     }
+    if (!touched.insert(slot).second) throw std::invalid_argument("a factor slot is changed twice");
   };
   for (const int slot : changes.removed) check_slot(slot);
-  for (const auto& change : changes.replaced) check_slot(change.first);
+  for (const auto& [slot, factor] : changes.replaced) {
+    check_slot(slot);
+    const LinearFactor<B>& old = factors_[At(slot)];
+    if (old.first != factor.first || old.second != factor.second) {
+      throw std::invalid_argument("a factor may not change its variables");
+    }
+  }
+}
+
+// Returns the variable at which the new fronts turn out not to be positive definite, or -1.
+template <int B>
+int BlockCholesky<B>::FactorPending(std::vector<Front>& pending, UpdateReport& report) {
+  for (Front& front : pending) {
+    const int failed = FactorFront(front, pending, {});
+    if (failed >= 0) return failed;
+    for (int c = 0; c < front.Columns(); ++c) report.flops += std::pow(front.Rows() - c, 2);
+  }
+  return -1;
 }
 
 template <int B>
@@ -244,59 +275,68 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(Changes changes
   UpdateReport report;
   Undo undo;
   Region region;
+  undo.variables = Variables();
   const int old_variables = Variables();
-  region.fronts = AffectedFronts(changes);
-  ApplyFactors(changes, report.added_slots, undo);
   const auto forget = [&] {
     for (const int f : region.fronts) is_affected_[At(f)] = 0;
     for (const int v : region.variables) local_[At(v)] = -1;
   };
-  std::vector<Front> pending;
-  try {
-    internal::ScopedTimer timer(report.seconds_order);
-    CollectCliques(old_variables, region);
-    region.order_last.assign(region.variables.size(), 0);
-    for (const auto& f : changes.added) {
-      // Where everything is new, nothing is newest.
-      if (region.fronts.empty()) break;
-      region.order_last[At(local_[At(f.first)])] = 1;
-      if (f.second >= 0) region.order_last[At(local_[At(f.second)])] = 1;
-    }
-    pending = MakeFronts(region);
-  } catch (...) {
+  const auto take_back = [&] {
     forget();
     RevertFactors(undo);
+    report.added_slots.clear();
+  };
+  std::vector<Front> pending;
+  std::vector<int> id_of;
+  try {
+    AffectedFronts(changes, region.fronts);
+    ApplyFactors(changes, report.added_slots, undo);
+    {
+      internal::ScopedTimer timer(report.seconds_order);
+      CollectCliques(old_variables, region);
+      region.order_last.assign(region.variables.size(), 0);
+      for (const auto& f : changes.added) {
+        // Where everything is new, nothing is newest.
+        if (region.fronts.empty()) break;
+        region.order_last[At(local_[At(f.first)])] = 1;
+        if (f.second >= 0) region.order_last[At(local_[At(f.second)])] = 1;
+      }
+      pending = MakeFronts(region);
+    }
+    report.failed_variable = FactorPending(pending, report);
+    id_of.resize(pending.size());
+    Reserve(roots_, pending.size());
+    Reserve(free_fronts_, region.fronts.size());
+    Reserve(fronts_, pending.size());
+  } catch (...) {
+    take_back();
     throw;
   }
-  for (Front& front : pending) {
-    report.failed_variable = FactorFront(front, pending, {});
-    if (report.failed_variable >= 0) {
-      report.added_slots.clear();
-      forget();
-      RevertFactors(undo);
-      return report;
-    }
-    for (int c = 0; c < front.Columns(); ++c) report.flops += std::pow(front.Rows() - c, 2);
+  if (report.failed_variable >= 0) {
+    take_back();
+    return report;
   }
   report.fronts = static_cast<int>(pending.size());
   report.variables = static_cast<int>(region.variables.size());
-  Replace(region.fronts, std::move(pending));
+  Replace(region.fronts, pending, id_of);
   forget();
+  free_slots_.insert(free_slots_.end(), changes.removed.begin(), changes.removed.end());
   report.ok = true;
-  ++version_;
+  version_ = internal::NextVersion();
   return report;
 }
 
-#define TERSE_INSTANTIATE(B)                                                                       \
-  template void BlockCholesky<B>::CheckChanges(const Changes&) const;                              \
-  template std::vector<int> BlockCholesky<B>::AffectedFronts(const Changes&);                      \
-  template void BlockCholesky<B>::ApplyFactors(Changes&, std::vector<int>&, Undo&);                \
-  template void BlockCholesky<B>::RevertFactors(const Undo&);                                      \
-  template void BlockCholesky<B>::Attach(int);                                                     \
-  template void BlockCholesky<B>::Detach(int);                                                     \
-  template void BlockCholesky<B>::CollectCliques(int, Region&);                                    \
-  template std::vector<BlockCholesky<B>::Front> BlockCholesky<B>::MakeFronts(const Region&) const; \
-  template void BlockCholesky<B>::Replace(const std::vector<int>&, std::vector<Front>);            \
+#define TERSE_INSTANTIATE(B)                                                                                \
+  template void BlockCholesky<B>::CheckChanges(const Changes&) const;                                       \
+  template void BlockCholesky<B>::AffectedFronts(const Changes&, std::vector<int>&);                        \
+  template int BlockCholesky<B>::FactorPending(std::vector<Front>&, UpdateReport&);                         \
+  template void BlockCholesky<B>::ApplyFactors(Changes&, std::vector<int>&, Undo&);                         \
+  template void BlockCholesky<B>::RevertFactors(const Undo&);                                               \
+  template void BlockCholesky<B>::Attach(int);                                                              \
+  template void BlockCholesky<B>::Detach(int);                                                              \
+  template void BlockCholesky<B>::CollectCliques(int, Region&);                                             \
+  template std::vector<BlockCholesky<B>::Front> BlockCholesky<B>::MakeFronts(const Region&) const;          \
+  template void BlockCholesky<B>::Replace(const std::vector<int>&, std::vector<Front>&, std::vector<int>&); \
   template BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(Changes);
 TERSE_INSTANTIATE(3)
 TERSE_INSTANTIATE(6)

@@ -1,30 +1,26 @@
 #include "terse/core/gauge.h"
 
-#include <set>
-
 namespace terse {
 
 template <class Pose>
 AbsoluteFactors CountAbsoluteFactors(const PoseGraph<Pose>& graph) {
   AbsoluteFactors count;
-  std::set<PoseId> positions;
   for (const auto& node : graph.Poses()) {
     if (node.fixed && node.T_world_body) ++count.pose_priors;
   }
   for (const auto& node : graph.Factors()) {
     if (std::holds_alternative<PosePriorFactor<Pose>>(node.factor)) ++count.pose_priors;
-    if (const auto* f = std::get_if<PositionPriorFactor<Pose>>(&node.factor)) positions.insert(f->pose);
+    if (std::holds_alternative<PositionPriorFactor<Pose>>(node.factor)) ++count.position_priors;
   }
-  count.position_prior_poses = static_cast<int>(positions.size());
   return count;
 }
 
 template <class Pose>
 Vector<Pose::kDof> AnchorInformation(const AbsoluteFactors& absolute) {
   Vector<Pose::kDof> information = Vector<Pose::kDof>::Zero();
-  if (absolute.pose_priors > 0 || absolute.position_prior_poses >= Pose::kDim) return information;
-  information.setConstant(kAnchorInformation);
-  if (absolute.position_prior_poses > 0) information.template head<Pose::kDim>().setZero();
+  if (absolute.pose_priors > 0) return information;
+  if (absolute.position_priors == 0) return information.setConstant(kAnchorInformation);
+  information.template tail<Pose::kDof - Pose::kDim>().setConstant(kWeakAnchorInformation);
   return information;
 }
 

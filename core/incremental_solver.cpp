@@ -18,18 +18,27 @@ using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 constexpr size_t At(FactorId id) { return static_cast<size_t>(id.value); }
 
+// Relinearised factors may cost this many times as much as before (curved valleys climb a little) before the
+// points go only part of the way, at least this share of it.
+constexpr double kClimb = 4, kLeastShare = 0.05;
+
 }  // namespace
 
 // Everything an update will change, worked out before anything is.
 template <class Pose>
 struct IncrementalSolver<Pose>::Plan {
   std::map<PoseId, int> new_index;
-  std::vector<Pose> new_values;                  // in the order of update.poses
-  std::vector<std::pair<int, Pose>> new_points;  // relinearised: pose index, new linearisation point
+  std::vector<Pose> new_values;    // in the order of update.poses
+  std::map<int, Pose> new_points;  // relinearised: pose index, new linearisation point
   typename BlockCholesky<B>::Changes changes;
   bool adds_anchor = false;
+  AbsoluteFactors absolute;
   Vector<B> anchor_information;
 
+  const Pose& PointOf(int index, const std::vector<Pose>& present) const {
+    const auto it = new_points.find(index);
+    return it != new_points.end() ? it->second : present[At(index)];
+  }
   int IndexOf(PoseId id, const PoseGraph<Pose>& graph) const {
     const auto it = new_index.find(id);
     return it != new_index.end() ? it->second : graph.IndexOf(id);
@@ -100,17 +109,28 @@ void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>& update, Plan
       if (plan.new_index.count(f->pose) != 0) offer(f->pose, f->T_world_body);
     }
   }
-  if (old == 0 && !value.empty() && !value[0]) value[0] = Pose();
-  for (bool progress = true; progress;) {
-    progress = false;
-    for (const auto& factor : update.factors) {
-      const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor);
-      if (f == nullptr) continue;
-      const std::optional<Pose> from = known(f->from), to = known(f->to);
-      if (from && !to) offer(f->to, *from * f->T_from_to);
-      if (to && !from) offer(f->from, *to * f->T_from_to.Inverse());
-      progress = progress || from.has_value() != to.has_value();
+  const auto has_value = [](const std::optional<Pose>& v) { return v.has_value(); };
+  if (old == 0 && !value.empty() && std::none_of(value.begin(), value.end(), has_value)) value[0] = Pose();
+  // Breadth first over the update's edges, from what is known.
+  std::vector<std::vector<const RelativePoseFactor<Pose>*>> edges(value.size());
+  std::vector<const RelativePoseFactor<Pose>*> ready;
+  for (const auto& factor : update.factors) {
+    const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor);
+    if (f == nullptr) continue;
+    for (const PoseId id : {f->from, f->to}) {
+      const auto it = plan.new_index.find(id);
+      if (it != plan.new_index.end()) edges[At(it->second - old)].push_back(f);
     }
+    if (known(f->from).has_value() != known(f->to).has_value()) ready.push_back(f);
+  }
+  for (size_t k = 0; k < ready.size(); ++k) {
+    const RelativePoseFactor<Pose>& f = *ready[k];
+    const std::optional<Pose> from = known(f.from), to = known(f.to);
+    if (from && to) continue;
+    const PoseId reached = from ? f.to : f.from;
+    offer(reached, from ? *from * f.T_from_to : *to * f.T_from_to.Inverse());
+    const auto& onward = edges[At(plan.new_index.at(reached) - old)];
+    ready.insert(ready.end(), onward.begin(), onward.end());
   }
   for (size_t k = 0; k < value.size(); ++k) {
     if (!value[k]) {
@@ -131,40 +151,62 @@ bool IncrementalSolver<Pose>::ExceedsTolerance(int variable) const {
          radians2 > options_.relinearize_radians * options_.relinearize_radians;
 }
 
-// New linearisation points, and every factor that touches one again.
+// A slot's factor at other linearisation points.
 template <class Pose>
-void IncrementalSolver<Pose>::PlanRelinearisation(const GraphUpdate<Pose>& update, Plan& plan) const {
-  const std::set<FactorId> removed(update.removed.begin(), update.removed.end());
-  std::map<int, Pose> moved;
-  if ((updates_ + 1) % options_.relinearize_interval == 0) {
-    for (const int v : outgrown_) {
-      if (ExceedsTolerance(v)) moved.emplace(v, EstimateAt(v));
-    }
+template <class Point>
+LinearFactor<Pose::kDof> IncrementalSolver<Pose>::LinearizeSlot(int slot, const Point& point) const {
+  const LinearFactor<B>& was = factor_.FactorAt(slot);
+  if (slot == anchor_slot_) return was;  // proximal: the same at any value
+  const FactorId id = factor_of_slot_[At(slot)];
+  const int second = was.second < 0 ? was.first : was.second;
+  if (id.value >= 0) {
+    return Linearize(graph_.FindFactor(id)->factor, was.first, second, point(was.first), point(second));
   }
-  const int old = static_cast<int>(graph_.Poses().size());
-  const auto point = [&](int index) -> const Pose& {
-    if (index >= old) return plan.new_values[At(index - old)];
-    const auto it = moved.find(index);
-    return it != moved.end() ? it->second : linearization_points_[At(index)];
-  };
+  const auto& fixed = graph_.Poses()[At(was.first)];
+  return Linearize<Pose>(FixedPosePrior<Pose>(fixed.id, *fixed.T_world_body), was.first, was.first, point(was.first),
+                         point(was.first));
+}
+
+// Moves the linearisation points of outgrown poses to their estimates. A wrong or far link can throw an estimate to
+// where the linearisation means nothing; there the points go only part of the way.
+template <class Pose>
+void IncrementalSolver<Pose>::PlanRelinearisation(const std::set<FactorId>& removed, Plan& plan) const {
+  if ((updates_ + 1) % options_.relinearize_interval != 0) return;
   std::set<int> slots;
-  for (const auto& [v, T] : moved) {
-    plan.new_points.emplace_back(v, T);
+  for (const int v : outgrown_) {
+    if (!ExceedsTolerance(v)) continue;
+    plan.new_points.emplace(v, EstimateAt(v));
     slots.insert(factor_.SlotsOf(v).begin(), factor_.SlotsOf(v).end());
   }
-  for (const int slot : slots) {
-    const FactorId id = factor_of_slot_[At(slot)];
-    // Anchors hold their pose so tightly that its linearisation never grows stale.
-    if (id.value < 0) {
-      plan.changes.replaced.emplace_back(slot, factor_.FactorAt(slot));
-      continue;
-    }
-    if (removed.count(id) != 0) continue;
-    const LinearFactor<B>& was = factor_.FactorAt(slot);
-    const int second = was.second < 0 ? was.first : was.second;
-    plan.changes.replaced.emplace_back(
-        slot, Linearize(graph_.FindFactor(id)->factor, was.first, second, point(was.first), point(second)));
+  for (auto it = slots.begin(); it != slots.end();) {
+    const FactorId id = factor_of_slot_[At(*it)];
+    it = id.value >= 0 && removed.count(id) != 0 ? slots.erase(it) : std::next(it);
   }
+  const auto point = [&](int v) -> const Pose& { return plan.PointOf(v, linearization_points_); };
+  double before = static_cast<double>(B * slots.size());
+  for (const int slot : slots) before += factor_.FactorAt(slot).residual.squaredNorm();
+  for (double share = 1;; share /= 2) {
+    double after = 0;
+    for (const int slot : slots) {
+      plan.changes.replaced.emplace_back(slot, LinearizeSlot(slot, point));
+      after += plan.changes.replaced.back().second.residual.squaredNorm();
+    }
+    if (after <= kClimb * before || share < kLeastShare) return;
+    plan.changes.replaced.clear();
+    for (auto& [v, T] : plan.new_points) {
+      const Eigen::Map<const Vector<B>> d(factor_.Solution().data() + At(v) * B);
+      T = linearization_points_[At(v)].Retract(share / 2 * d);
+    }
+  }
+}
+
+// New factors, at the points that the relinearisation leaves.
+template <class Pose>
+void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>& update, Plan& plan) const {
+  const int old = static_cast<int>(graph_.Poses().size());
+  const auto point = [&](int v) -> const Pose& {
+    return v < old ? plan.PointOf(v, linearization_points_) : plan.new_values[At(v - old)];
+  };
   for (const auto& factor : update.factors) {
     const FactorPoses ends = PosesOf(factor);
     const int first = plan.IndexOf(ends.first, graph_), second = plan.IndexOf(ends.second, graph_);
@@ -182,27 +224,21 @@ void IncrementalSolver<Pose>::PlanRelinearisation(const GraphUpdate<Pose>& updat
 
 template <class Pose>
 AbsoluteFactors IncrementalSolver<Pose>::AbsoluteFactorsAfter(const GraphUpdate<Pose>& update) const {
-  AbsoluteFactors count;
-  count.pose_priors = fixed_poses_;
-  for (const auto& pose : update.poses) count.pose_priors += pose.fixed ? 1 : 0;
-  std::set<PoseId> positions;
-  const auto add = [&](const terse::Factor<Pose>& factor) {
-    if (std::holds_alternative<PosePriorFactor<Pose>>(factor)) ++count.pose_priors;
-    if (const auto* f = std::get_if<PositionPriorFactor<Pose>>(&factor)) positions.insert(f->pose);
+  AbsoluteFactors count = absolute_;
+  const auto add = [&](const terse::Factor<Pose>& factor, int sign) {
+    if (std::holds_alternative<PosePriorFactor<Pose>>(factor)) count.pose_priors += sign;
+    if (std::holds_alternative<PositionPriorFactor<Pose>>(factor)) count.position_priors += sign;
   };
-  for (const FactorId id : absolute_factors_) {
-    if (std::find(update.removed.begin(), update.removed.end(), id) == update.removed.end()) {
-      add(graph_.FindFactor(id)->factor);
-    }
-  }
-  for (const auto& factor : update.factors) add(factor);
-  count.position_prior_poses = static_cast<int>(positions.size());
+  for (const auto& pose : update.poses) count.pose_priors += pose.fixed ? 1 : 0;
+  for (const auto& factor : update.factors) add(factor, 1);
+  for (const FactorId id : update.removed) add(graph_.FindFactor(id)->factor, -1);
   return count;
 }
 
 template <class Pose>
 void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>& update, Plan& plan) const {
-  plan.anchor_information = AnchorInformation<Pose>(AbsoluteFactorsAfter(update));
+  plan.absolute = AbsoluteFactorsAfter(update);
+  plan.anchor_information = AnchorInformation<Pose>(plan.absolute);
   if (anchor_slot_ < 0) {
     plan.adds_anchor = !graph_.Poses().empty() || !update.poses.empty();
     if (plan.adds_anchor) plan.changes.added.push_back(Anchor<B>(0, plan.anchor_information));
@@ -223,7 +259,8 @@ UpdateSummary IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   {
     ScopedTimer timer(seconds_.linearise);
     PlanNewPoses(update, plan);
-    PlanRelinearisation(update, plan);
+    PlanRelinearisation(std::set<FactorId>(update.removed.begin(), update.removed.end()), plan);
+    PlanFactors(update, plan);
     PlanAnchor(update, plan);
   }
   summary.variables_relinearised = static_cast<int>(plan.new_points.size());
@@ -248,7 +285,7 @@ UpdateSummary IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   return summary;
 }
 
-// Nothing here fails: everything was validated, and the factor holds the change already.
+// Nothing here fails short of memory: everything was validated, and the factor holds the change already.
 template <class Pose>
 void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan& plan, UpdateSummary& summary,
                                      const std::vector<int>& added_slots) {
@@ -257,13 +294,10 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     graph_.RemoveFactor(id);
     factor_of_slot_[At(slot_of_factor_[At(id)])] = FactorId();
     slot_of_factor_[At(id)] = -1;
-    absolute_factors_.erase(std::remove(absolute_factors_.begin(), absolute_factors_.end(), id),
-                            absolute_factors_.end());
   }
   for (size_t k = 0; k < update.poses.size(); ++k) {
     graph_.AddPose(update.poses[k].id, plan.new_values[k]);
     graph_.SetFixed(update.poses[k].id, update.poses[k].fixed);
-    fixed_poses_ += update.poses[k].fixed ? 1 : 0;
     linearization_points_.push_back(plan.new_values[k]);
     is_outgrown_.push_back(0);
   }
@@ -277,8 +311,8 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     bind(added_slots[k], id);
     slot_of_factor_.resize(At(id) + 1, -1);
     slot_of_factor_[At(id)] = added_slots[k];
-    if (!std::holds_alternative<RelativePoseFactor<Pose>>(update.factors[k])) absolute_factors_.push_back(id);
   }
+  absolute_ = plan.absolute;
   anchor_information_ = plan.anchor_information;
   if (plan.adds_anchor) {
     anchor_slot_ = added_slots.back();
@@ -338,14 +372,9 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
   BatchResult<Pose> result = SolveBatch(graph_, Estimates(), options);
   // The factor of this solver moves to the optimum too: every linearisation point changes.
   typename BlockCholesky<B>::Changes changes;
-  for (size_t slot = 0; slot < factor_of_slot_.size(); ++slot) {
-    const FactorId id = factor_of_slot_[slot];
-    if (id.value < 0) continue;
-    const LinearFactor<B>& was = factor_.FactorAt(static_cast<int>(slot));
-    const int second = was.second < 0 ? was.first : was.second;
-    changes.replaced.emplace_back(static_cast<int>(slot),
-                                  Linearize(graph_.FindFactor(id)->factor, was.first, second,
-                                            result.T_world_body[At(was.first)], result.T_world_body[At(second)]));
+  const auto point = [&](int v) -> const Pose& { return result.T_world_body[At(v)]; };
+  for (int slot = 0; slot < static_cast<int>(factor_of_slot_.size()); ++slot) {
+    if (factor_.FactorAt(slot).first >= 0) changes.replaced.emplace_back(slot, LinearizeSlot(slot, point));
   }
   if (!factor_.Update(std::move(changes)).ok) throw NumericalError("the system is singular at the optimum");
   linearization_points_ = result.T_world_body;

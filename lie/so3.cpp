@@ -47,6 +47,9 @@ SO3::Jacobian SO3::LeftJacobianInverse(const Tangent& phi) {
 }
 
 void SO3::Normalize() {
+  // The squares of very large numbers overflow, those of very small ones vanish.
+  const double largest = q_.coeffs().cwiseAbs().maxCoeff();
+  if (largest > 1e100 || (largest > 0 && largest < 1e-100)) q_.coeffs() /= largest;
   const double n2 = q_.squaredNorm();
   if (std::abs(n2 - 1) > 4 * std::numeric_limits<double>::epsilon()) q_.coeffs() /= std::sqrt(n2);
 }

@@ -256,9 +256,17 @@ TEST_F(SolveCommand, UnwritableOutputExitsWith1AndLeavesNothing) {
   EXPECT_EQ(FileCount(), 2);
 }
 
-// Two positions at one place leave the rotation about it free.
-TEST_F(SolveCommand, ASingularSystemExitsWith3) {
+// Two positions at one place leave the rotation about it free: solved, and the covariance says so.
+TEST_F(SolveCommand, AFreeTurnIsSolvedWithAHugeVariance) {
   Write("in.g2o", "EDGE_SE2 0 1 0 0 0 1 0 0 1 0 1\nEDGE_PRIOR_SE2_XY 0 1 1 1 0 1\nEDGE_PRIOR_SE2_XY 1 1 1 1 0 1\n");
+  Succeed("solve in.g2o --covariance-output c.csv");
+  const auto rows = testing::CsvRows(Read("c.csv"));
+  EXPECT_GT(std::stod(rows.at(1).back()), 900);
+}
+
+// Squares beyond the range of doubles.
+TEST_F(SolveCommand, ANumericalFailureExitsWith3) {
+  Write("in.g2o", "EDGE_SE2 0 1 1e200 0 0 1 0 0 1 0 1\nEDGE_SE2 0 1 -1e200 0 0 1 0 0 1 0 1\n");
   for (const std::string mode : {"batch", "incremental"}) {
     ExpectFailure("solve in.g2o --covariances diagonal --output out.g2o --stats s.json --mode " + mode, 3, "in.g2o: ");
   }

@@ -71,7 +71,10 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
     values.push_back(result.T_world_body[static_cast<std::size_t>(solver.Graph().IndexOf(node.id))]);
   }
   result.T_world_body = std::move(values);
-  result.seconds = solver.Seconds();
+  for (const auto phase :
+       {&PhaseSeconds::order, &PhaseSeconds::linearise, &PhaseSeconds::factor, &PhaseSeconds::solve}) {
+    result.seconds.*phase += solver.Seconds().*phase;
+  }
   return result;
 }
 

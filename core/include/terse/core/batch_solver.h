@@ -28,7 +28,8 @@ struct BatchOptions {
   std::function<bool(int iteration, double chi2)> progress;
 };
 
-enum class Termination { kConverged, kMaxIterations, kDiverged, kNotPositiveDefinite, kStopped };
+// kStalled: no step lowers chi2 any more although the gradient has not vanished, as at a jump of the angle residual.
+enum class Termination { kConverged, kMaxIterations, kStalled, kDiverged, kNotPositiveDefinite, kStopped };
 const char* Name(Termination termination);
 
 // Seconds spent; the parts do not add up to the whole.

@@ -56,7 +56,8 @@ class BlockCholesky {
     double seconds_order = 0;       // of the symbolic part
   };
 
-  // If the changed matrix is not positive definite, nothing is changed and ok is false.
+  // If the changed matrix is not positive definite (to rounding), or a right-hand side is not finite, nothing is
+  // changed and ok is false. Throws std::invalid_argument for changes that contradict each other or the graph.
   [[nodiscard]] UpdateReport Update(Changes changes);
 
   // New values for all factors on the present structure: numeric work only. damping (B * Variables() scalars
@@ -89,17 +90,19 @@ class BlockCholesky {
   int FrontOf(int variable) const { return front_of_[static_cast<std::size_t>(variable)]; }
   const std::vector<int>& Roots() const { return roots_; }
   std::int64_t FactorNonzeros() const;
-  // Grows with every successful Update or Refactor.
+  // Another number after every successful Update or Refactor, and for every factor.
   std::uint64_t Version() const { return version_; }
 
  private:
   struct Undo;
   struct Region;
   void CheckChanges(const Changes& changes) const;
-  std::vector<int> AffectedFronts(const Changes& changes);
+  void AffectedFronts(const Changes& changes, std::vector<int>& affected);
   void CollectCliques(int old_variables, Region& region);
   std::vector<Front> MakeFronts(const Region& region) const;
-  void Replace(const std::vector<int>& affected, std::vector<Front> pending);
+  void Replace(const std::vector<int>& affected, std::vector<Front>& pending, std::vector<int>& id_of) noexcept;
+  int FactorPending(std::vector<Front>& pending, UpdateReport& report);
+  double DiagonalEntry(int variable, int scalar) const;
   void ApplyFactors(Changes& changes, std::vector<int>& added_slots, Undo& undo);
   void RevertFactors(const Undo& undo);
   void Attach(int slot);

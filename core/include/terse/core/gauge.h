@@ -3,9 +3,9 @@
 //
 // Relative measurements leave the frame of the map free. A proximal anchor on the first pose fixes it: information on
 // that pose's tangent directions with zero residual at whatever value the pose has, so it never enters chi2
-// and never biases the optimum. Absolute measurements take its place as they become enough:
-// any pose prior, or position priors on two (2D) or three (3D) distinct poses; with fewer, but some,
-// position priors the anchor holds the rotation only.
+// and never biases the optimum. Absolute measurements take its place: any pose prior wholly; position priors for the
+// position, while a very weak anchor stays on the rotation, for the turns that they may leave free (about a single
+// point, about a straight line).
 
 #include "terse/core/linear_factor.h"
 
@@ -13,10 +13,12 @@ namespace terse {
 
 // 0.1 mm and 0.1 mrad: nothing beside any measurement, and far from the limits of double precision.
 inline constexpr double kAnchorInformation = 1e8;
+// 30 rad: makes a free turn solvable, with a variance that says that nothing measures it.
+inline constexpr double kWeakAnchorInformation = 1e-3;
 
 struct AbsoluteFactors {
-  int pose_priors = 0;           // FIXed poses count as such
-  int position_prior_poses = 0;  // distinct poses with a position prior
+  int pose_priors = 0;  // FIXed poses count as such
+  int position_priors = 0;
 };
 
 template <class Pose>

@@ -10,6 +10,7 @@
 // functions may run concurrently.
 
 #include <optional>
+#include <set>
 #include <vector>
 
 #include "terse/core/batch_solver.h"
@@ -83,7 +84,10 @@ class IncrementalSolver {
   struct Plan;
   void Validate(const GraphUpdate<Pose>& update) const;
   void PlanNewPoses(const GraphUpdate<Pose>& update, Plan& plan) const;
-  void PlanRelinearisation(const GraphUpdate<Pose>& update, Plan& plan) const;
+  void PlanRelinearisation(const std::set<FactorId>& removed, Plan& plan) const;
+  void PlanFactors(const GraphUpdate<Pose>& update, Plan& plan) const;
+  template <class Point>
+  LinearFactor<Pose::kDof> LinearizeSlot(int slot, const Point& point) const;
   void PlanAnchor(const GraphUpdate<Pose>& update, Plan& plan) const;
   void Commit(const GraphUpdate<Pose>& update, const Plan& plan, UpdateSummary& summary,
               const std::vector<int>& added_slots);
@@ -99,8 +103,7 @@ class IncrementalSolver {
   std::vector<FactorId> factor_of_slot_;  // -1: an anchor, or a free slot
   int anchor_slot_ = -1;
   Vector<B> anchor_information_ = Vector<B>::Zero();
-  std::vector<FactorId> absolute_factors_;  // the priors among the factors
-  int fixed_poses_ = 0;
+  AbsoluteFactors absolute_;
   std::vector<int> outgrown_;      // poses whose d was seen to exceed a tolerance
   std::vector<char> is_outgrown_;  // by pose index
   long updates_ = 0;
