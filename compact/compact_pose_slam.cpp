@@ -15,6 +15,8 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
+constexpr size_t kFewPoses = 12;
+
 template <class Pose>
 double TranslationSpread(const typename Pose::Jacobian& covariance) {
   return std::sqrt(std::max(0.0, covariance.diagonal().template head<Pose::kDim>().sum()));
@@ -202,17 +204,26 @@ std::vector<UncertainPose<Pose>> CompactPoseSlam<Pose>::Displacements(const Curr
   if (poses.empty()) return out;
   const int base = solver_->Graph().IndexOf(current.base);
   const Jacobian F = current.T_base_current.T_a_b.Inverse().Adjoint();
-  const MatrixX column = CovarianceBlocks(solver_->Factor(), poses, {base});
-  const Jacobian Sigma_nn = F * inverse_->Diagonal(base) * F.transpose() + current.T_base_current.covariance;
+  // Few blocks are cheapest by solves along their paths, many by the recursion, which keeps what it has computed.
+  std::vector<int> columns = {base};
+  const bool few = poses.size() <= kFewPoses;
+  if (few) columns.insert(columns.end(), poses.begin(), poses.end());
+  std::vector<int> rows(poses);
+  rows.push_back(base);
+  const MatrixX blocks = CovarianceBlocks(solver_->Factor(), rows, columns);
+  const auto block = [&](size_t row, size_t column) -> Jacobian {
+    return blocks.template block<B, B>(static_cast<Eigen::Index>(row) * B, static_cast<Eigen::Index>(column) * B);
+  };
+  const Jacobian Sigma_nn = F * block(poses.size(), 0) * F.transpose() + current.T_base_current.covariance;
   for (size_t k = 0; k < poses.size(); ++k) {
     if (poses[k] == base) {
       out.push_back(current.T_base_current);
       continue;
     }
-    const Jacobian Sigma_in = column.template middleRows<B>(static_cast<Eigen::Index>(k) * B) * F.transpose();
+    const Jacobian Sigma_in = block(k, 0) * F.transpose();
+    const Jacobian Sigma_ii = few ? block(k, k + 1) : inverse_->Diagonal(poses[k]);
     const Pose T_pose_current = solver_->EstimateAt(poses[k]).Inverse() * current.T_world_body;
-    out.push_back(
-        {T_pose_current, RelativeCovariance<Pose>(T_pose_current, inverse_->Diagonal(poses[k]), Sigma_in, Sigma_nn)});
+    out.push_back({T_pose_current, RelativeCovariance<Pose>(T_pose_current, Sigma_ii, Sigma_in, Sigma_nn)});
   }
   return out;
 }

@@ -68,7 +68,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
     if (options.progress) options.progress(k + 1, sample);
   }
   out.range = out.range.cwiseMax(replay.LinkRange());
-  out.min_loop_gain = std::exp(1.36 * std::log(Percentile90(loop_gains) + 1)) - 1;
+  out.min_loop_gain = Percentile90(loop_gains);
   out.min_pose_gain = std::exp(1.7 * std::log(Percentile90(pose_gains) + 1)) - 1;
   return out;
 }

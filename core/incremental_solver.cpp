@@ -65,7 +65,8 @@ void IncrementalSolver<Pose>::Validate(const GraphUpdate<Pose>& update) const {
   std::set<FactorId> removed;
   for (const auto& pose : update.poses) {
     const bool finite = !pose.T_world_body || IsFinite(*pose.T_world_body);
-    if (!finite) throw std::invalid_argument("pose " + std::to_string(pose.id.value) + " has a value that is not finite");
+    if (!finite)
+      throw std::invalid_argument("pose " + std::to_string(pose.id.value) + " has a value that is not finite");
     if (pose.fixed && !pose.T_world_body) {
       throw std::invalid_argument("pose " + std::to_string(pose.id.value) + " is fixed but has no value");
     }

@@ -1,74 +1,20 @@
-// Runs the built terse command as a user would.
+// The terse command as a whole, and info, convert, evaluate and generate.
 
 #include <gtest/gtest.h>
-#include <signal.h>
-#include <sys/wait.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
-#include <cstdlib>
-#include <filesystem>
-#include <fstream>
-#include <nlohmann/json.hpp>
 #include <string>
-#include <thread>
+
+#include "testing_command.h"
 
 namespace {
 
 namespace fs = std::filesystem;
 
-struct Outcome {
-  int exit_code = -1;
-  std::string out, err;
-};
+using terse::testing::Outcome;
 
-std::string Slurp(const fs::path& path) {
-  std::ifstream file(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(file), {}};
-}
-
-// Each test works in a folder of its own, removed afterwards.
-class Command : public testing::Test {
- protected:
-  void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "terse_command_XXXXXX").string();
-    ASSERT_NE(mkdtemp(name.data()), nullptr);
-    folder_ = name;
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
-  // `arguments` go through the shell, run in the test's folder.
-  Outcome Run(const std::string& arguments) const {
-    const std::string line = "cd '" + folder_.string() + "' && '" TERSE_COMMAND "' " + arguments + " > .out 2> .err";
-    const int status = std::system(line.c_str());
-    return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, Slurp(folder_ / ".out"), Slurp(folder_ / ".err")};
-  }
-  nlohmann::json Json(const std::string& arguments) const {
-    const Outcome outcome = Run(arguments);
-    EXPECT_EQ(outcome.exit_code, 0) << outcome.err;
-    return nlohmann::json::parse(outcome.out);
-  }
-  void Write(const std::string& name, const std::string& text) const { std::ofstream(folder_ / name) << text; }
-  std::string Read(const std::string& name) const { return Slurp(folder_ / name); }
-  bool Exists(const std::string& name) const { return fs::exists(folder_ / name); }
-  void ExpectFailure(const std::string& arguments, int exit_code, const std::string& cause) const {
-    const Outcome outcome = Run(arguments);
-    EXPECT_EQ(outcome.exit_code, exit_code) << arguments << '\n' << outcome.err;
-    EXPECT_EQ(outcome.err.rfind("terse: error: ", 0), 0u) << outcome.err;
-    EXPECT_NE(outcome.err.find(cause), std::string::npos) << arguments << '\n' << outcome.err;
-    EXPECT_EQ(outcome.out, "") << arguments;
-  }
-  // Files other than the captured output.
-  long FileCount() const {
-    long count = 0;
-    for (const auto& entry : fs::directory_iterator(folder_)) count += entry.path().filename().string()[0] != '.';
-    return count;
-  }
-
-  fs::path folder_;
-};
+class Command : public terse::testing::CommandTest {};
 
 constexpr char kSquare[] =
     "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 1.5\nVERTEX_SE2 2 1 1 3\n"
@@ -78,7 +24,7 @@ constexpr char kSquare[] =
 TEST_F(Command, HelpAndVersion) {
   const Outcome help = Run("--help");
   EXPECT_EQ(help.exit_code, 0);
-  for (const char* name : {"info", "convert", "evaluate", "generate"}) {
+  for (const char* name : {"info", "solve", "compact", "convert", "evaluate", "generate"}) {
     EXPECT_NE(help.out.find(name), std::string::npos);
     const Outcome own = Run(std::string(name) + " --help");
     EXPECT_EQ(own.exit_code, 0);
@@ -247,23 +193,9 @@ TEST_F(Command, AFullDiskIsAnError) {
 // Interrupted while it writes, the command leaves neither a half-written file nor a temporary.
 TEST_F(Command, AnInterruptLeavesNoFile) {
   for (const int signal : {SIGINT, SIGTERM}) {
-    const std::string output = (folder_ / "g.g2o").string();
-    const pid_t child = fork();
-    ASSERT_GE(child, 0);
-    if (child == 0) {
-      execl(TERSE_COMMAND, "terse", "generate", "manhattan", "--poses", "10000000", "--output", output.c_str(),
-            static_cast<char*>(nullptr));
-      _exit(127);
-    }
-    // Wait until it writes; it cannot be done before, with so many poses.
-    while (FileCount() == 0 && waitpid(child, nullptr, WNOHANG) == 0) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(2));
-    }
-    kill(child, signal);
-    int status = 0;
-    ASSERT_EQ(waitpid(child, &status, 0), child);
-    EXPECT_TRUE(WIFEXITED(status));
-    EXPECT_EQ(WEXITSTATUS(status), 130);
+    // Once it writes; it cannot be done soon, with so many poses.
+    Interrupt({"generate", "manhattan", "--poses", "10000000", "--output", "g.g2o"}, signal,
+              [&] { return FileCount() > 0; });
     EXPECT_EQ(FileCount(), 0);
   }
 }

@@ -5,6 +5,7 @@
 #include <CLI/App.hpp>
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
+#include <functional>
 #include <nlohmann/json.hpp>
 
 #include "terse/core/graph_file.h"
@@ -41,10 +42,13 @@ CLI::Option* AddChoice(CLI::App& subcommand, const std::string& option, Value& t
     }
   };
   return subcommand.add_option_function<std::string>(option, set, description)
-      ->check(CLI::IsMember(names))
+      ->check(CLI::IsMember(names).description(""))  // the type name lists them already
       ->type_name(list)
       ->default_str(preset);
 }
+
+// Runs `work`; what it finds wrong with the graph (std::invalid_argument, NumericalError) then starts with the path.
+void AddPathToErrors(const std::string& path, const std::function<void()>& work);
 
 // Indented, on standard output. Numbers that are not finite become null.
 void PrintJson(const nlohmann::ordered_json& json);

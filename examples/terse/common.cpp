@@ -39,6 +39,16 @@ void ReportRepairs(const GraphFile& file, const std::string& path) {
             << " information matrices were not positive definite and have been clamped\n";
 }
 
+void AddPathToErrors(const std::string& path, const std::function<void()>& work) {
+  try {
+    work();
+  } catch (const std::invalid_argument& error) {
+    throw FileError(path, 0, error.what());
+  } catch (const NumericalError& error) {
+    throw NumericalError(path + ": " + error.what());
+  }
+}
+
 void FlushOutput() {
   if (!std::cout.flush()) throw FileError("(standard output)", 0, "cannot write");
 }

@@ -1,3 +1,4 @@
+#include <cmath>
 #include <filesystem>
 #include <iostream>
 
@@ -23,15 +24,27 @@ struct CompactCommandOptions {
   bool quiet = false;
 };
 
+// Usage, though only the file tells how many numbers are right.
+template <class Pose>
+void CheckRange(const PoseGraph<Pose>&, const CompactCommandOptions& options) {
+  constexpr std::size_t kSize = Displacement<Pose>::kSize;
+  if (options.range.empty() || options.range.size() == kSize) return;
+  throw CLI::ValidationError("--range", std::to_string(options.range.size()) + " numbers given, but a " +
+                                            std::to_string(Pose::kDim) + "D graph takes " +
+                                            (kSize == 4 ? "X Y Z ANGLE" : "X Y ANGLE"));
+}
+
+std::string FindRangeDefect(const std::string& text) {
+  double value = 0;
+  if (CLI::detail::lexical_cast(text, value) && value > 0 && std::isfinite(value)) return "";
+  return text + " is not a positive number";
+}
+
 // What the user gave; the rest from a sample of the file.
 template <class Pose>
 CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay<Pose>& replay,
                                  const CompactCommandOptions& from) {
   constexpr int kSize = Displacement<Pose>::kSize;
-  if (!from.range.empty() && from.range.size() != kSize) {
-    throw CLI::ValidationError("--range", "a " + std::to_string(Pose::kDim) + "D graph takes " + std::to_string(kSize) +
-                                              " numbers: " + (kSize == 4 ? "X Y Z ANGLE" : "X Y ANGLE"));
-  }
   CompactOptions<Pose> options;
   options.strategy = from.strategy;
   options.probability = from.probability;
@@ -143,7 +156,7 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   }
   const BatchResult<Pose> result = slam.Finish();
   if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(options.path + ": " + result.message);
+    throw NumericalError(result.message);
   }
   WriteResults(slam, result, decisions, options, stats);
   const EdgeCounts kept = CountEdges(slam.Solver().Graph());
@@ -175,13 +188,19 @@ void Compact(const CompactCommandOptions& options) {
   Stats stats;
   stats.seconds_read = SecondsNow() - start;
   ReportRepairs(file, options.path);
+  std::visit([&](const auto& graph) { CheckRange(graph, options); }, file.graph);
   // Before the long run, not after it.
   std::error_code error;
   std::filesystem::create_directories(options.directory, error);
   if (!std::filesystem::is_directory(options.directory)) {
-    throw FileError(options.directory, 0, "cannot make this folder" + (error ? ": " + error.message() : std::string()));
+    const std::string reason =
+        std::filesystem::exists(options.directory) ? "a file of this name is in the way" : error.message();
+    throw FileError(options.directory, 0, "cannot make this folder: " + reason);
   }
-  std::visit([&](const auto& graph) { CompactGraph(graph, options, std::move(stats), start); }, file.graph);
+  RequireWritable(options.directory + "/stats.json");
+  AddPathToErrors(options.path, [&] {
+    std::visit([&](const auto& graph) { CompactGraph(graph, options, std::move(stats), start); }, file.graph);
+  });
 }
 
 }  // namespace
@@ -193,29 +212,33 @@ void AddCompactCommand(CLI::App& app) {
   AddChoice(*command, "--strategy", options->strategy,
             {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}},
             "All poses all links, all poses few links, or few poses few links")
+      ->default_str("")
       ->required();
   command
       ->add_option("--range", options->range,
-                   "Sensor range: X Y Z ANGLE (3D) or X Y ANGLE (2D), metres and radians; by default chosen "
-                   "from the first 60 % of the file, as are the gains")
+                   "Sensor range in metres and radians; by default chosen from the first 60 % of the file, as are "
+                   "the gains")
       ->expected(3, 4)
-      ->check(CLI::PositiveNumber)
-      ->type_name("V");
+      ->check(FindRangeDefect)
+      ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
   command->add_option("--probability", options->probability, "Least probability of being in range, per dimension")
-      ->check(CLI::Range(0.0, 0.999999))
+      ->check(CLI::Range(0.0, 0.999999).description(""))
       ->type_name("S")
       ->capture_default_str();
   command->add_option("--min-pose-gain", options->min_pose_gain, "A pose is kept above this gain (nats)")
-      ->check(CLI::NonNegativeNumber)
+      ->check(CLI::NonNegativeNumber.description(""))
       ->type_name("G");
   command->add_option("--min-loop-gain", options->min_loop_gain, "A link is kept above this gain (nats)")
-      ->check(CLI::NonNegativeNumber)
+      ->check(CLI::NonNegativeNumber.description(""))
       ->type_name("G");
   AddChoice(*command, "--recover", options->recovery,
             {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
-            "How dropped poses come back: as first estimated, chained to the kept pose before, or interpolated");
+            "How dropped poses come back: as first estimated, chained to the kept pose before them, or fitted between "
+            "the kept poses around them");
   AddReadOptions(*command, options->read);
-  command->add_option("--output", options->directory, "Folder for the results")->required()->type_name("DIR");
+  command->add_option("--output", options->directory, "Folder for the results, made if it is missing")
+      ->required()
+      ->type_name("DIR");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors and warnings");
   command->footer("Example: terse compact sphere2500.g2o --strategy fpfl --output sphere_fpfl");
   command->callback([options] { Compact(*options); });

@@ -1,5 +1,7 @@
 // The terse command. Exit codes: 0 done, 1 bad input, 2 usage, 3 numerical failure, 130 interrupted.
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <csignal>
 #include <iostream>
@@ -13,6 +15,8 @@ namespace {
 
 extern "C" void RemoveFilesAndExit(int signal) {
   terse::RemoveUncommittedFiles();
+  // A half-drawn progress line would stay behind.
+  if (isatty(STDERR_FILENO) != 0 && write(STDERR_FILENO, "\r\033[K", 4) < 0) _exit(130);
   _exit(signal == SIGPIPE ? 128 + SIGPIPE : 130);
 }
 

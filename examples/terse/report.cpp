@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <filesystem>
 #include <iostream>
 #include <numeric>
 #include <set>
@@ -43,6 +44,15 @@ const char* const* TangentNames() {
 }
 
 }  // namespace
+
+void RequireWritable(const std::string& path) {
+  namespace fs = std::filesystem;
+  std::error_code error;
+  const fs::file_status status = fs::status(path, error);
+  // Merely opening a pipe would already be seen at its other end.
+  if (path.empty() || (fs::exists(status) && !fs::is_regular_file(status) && !fs::is_directory(status))) return;
+  AtomicFile file(path);  // removed again
+}
 
 double SecondsNow() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -122,6 +132,14 @@ Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose
 void WriteTrajectory(const Trajectory& trajectory, const std::string& path) {
   const bool kitti = EndsWith(path, ".kitti") || EndsWith(path, ".txt");
   kitti ? WriteKitti(trajectory, path) : WriteTum(trajectory, path);
+}
+
+std::string FindTrajectoryPathDefect(const std::string& path) {
+  const std::string extension = std::filesystem::path(path).extension().string();
+  for (const char* known : {"", ".tum", ".kitti", ".txt"}) {
+    if (extension == known) return "";
+  }
+  return path + ": the extension must be .tum, .kitti or .txt (KITTI)";
 }
 
 template <class Pose>

@@ -36,6 +36,9 @@ struct Stats {
 nlohmann::ordered_json ToJson(const Stats& stats);
 void WriteJson(const nlohmann::ordered_json& json, const std::string& path);
 
+// Throws FileError if a file could not be written there: before a long run, not after it. Does nothing for "".
+void RequireWritable(const std::string& path);
+
 // A clock for one phase.
 double SecondsNow();
 
@@ -44,6 +47,8 @@ template <class Pose>
 Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body);
 // KITTI if the path ends in .kitti or .txt, else TUM.
 void WriteTrajectory(const Trajectory& trajectory, const std::string& path);
+// The cause if the ending of a path tells neither, else empty. No ending (a pipe, standard output) is TUM.
+std::string FindTrajectoryPathDefect(const std::string& path);
 
 // One row per pose: the id, then the covariance row by row (body frame, translation first). "-" is standard output.
 template <class Pose>

@@ -93,10 +93,12 @@ void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& res
   WriteCovariances<Pose>(ids, covariances, options.covariance_output.empty() ? "-" : options.covariance_output);
 }
 
-void PrintSummary(const Stats& stats) {
-  std::cout << stats.poses << " poses, " << stats.counts.edges << " edges (" << stats.counts.loop_edges
-            << " loop edges)\nchi2 " << stats.chi2 << ", " << stats.termination << " after " << stats.iterations
-            << (stats.iterations == 1 ? " iteration" : " iterations") << ", " << stats.seconds_total << " s\n";
+// Not among the rows of a table on standard output.
+void PrintSummary(const Stats& stats, bool output_taken) {
+  std::ostream& out = output_taken ? std::cerr : std::cout;
+  out << stats.poses << " poses, " << stats.counts.edges << " edges (" << stats.counts.loop_edges
+      << " loop edges)\nchi2 " << stats.chi2 << ", " << stats.termination << " after " << stats.iterations
+      << (stats.iterations == 1 ? " iteration" : " iterations") << ", " << stats.seconds_total << " s\n";
   FlushOutput();
 }
 
@@ -105,7 +107,7 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
   const BatchResult<Pose> result =
       options.mode == Mode::kBatch ? RunBatch(graph, options, stats) : RunIncremental(graph, options, stats);
   if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(options.path + ": " + result.message);
+    throw NumericalError(result.message);
   }
   stats.poses = graph.Poses().size();
   stats.counts = CountEdges(graph);
@@ -130,17 +132,24 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
   if (!options.trajectory.empty()) WriteTrajectory(MakeTrajectory(ids, result.T_world_body), options.trajectory);
   stats.seconds_total = SecondsNow() - start;
   if (!options.stats.empty()) WriteJson(ToJson(stats), options.stats);
-  if (!options.quiet) PrintSummary(stats);
+  if (!options.quiet) {
+    PrintSummary(stats, options.covariances != Covariances::kNone && options.covariance_output.empty());
+  }
   if (!stats.converged) std::cerr << "terse: warning: not converged: " << result.message << '\n';
 }
 
 void Solve(const SolveOptions& options) {
+  for (const auto& path : {options.output, options.trajectory, options.covariance_output, options.stats}) {
+    RequireWritable(path);
+  }
   const double start = SecondsNow();
   GraphFile file = ReadGraph(options.path, options.read);
   Stats stats;
   stats.seconds_read = SecondsNow() - start;
   ReportRepairs(file, options.path);
-  std::visit([&](auto& graph) { SolveGraph(std::move(graph), options, std::move(stats), start); }, file.graph);
+  AddPathToErrors(options.path, [&] {
+    std::visit([&](auto& graph) { SolveGraph(std::move(graph), options, std::move(stats), start); }, file.graph);
+  });
 }
 
 }  // namespace
@@ -151,26 +160,33 @@ void AddSolveCommand(CLI::App& app) {
   command->add_option("FILE", options->path, "The graph file (g2o, TORO or iSAM)")->required();
   AddChoice(*command, "--mode", options->mode, {{"batch", Mode::kBatch}, {"incremental", Mode::kIncremental}},
             "All at once, or pose by pose as it would have come in online");
-  AddChoice(
-      *command, "--initial", options->initial,
-      {{"compose", InitialValues::kCompose},
-       {"file", InitialValues::kFile},
-       {"tree", InitialValues::kTree},
-       {"chordal", InitialValues::kChordal}},
-      "Initial values: composed in order of arrival, the file's, along a spanning tree, or by chordal relaxation");
+  AddChoice(*command, "--initial", options->initial,
+            {{"compose", InitialValues::kCompose},
+             {"file", InitialValues::kFile},
+             {"tree", InitialValues::kTree},
+             {"chordal", InitialValues::kChordal}},
+            "Initial values: composed in order of arrival, the file's, along a spanning tree, or by chordal relaxation "
+            "(for much noise); the incremental mode takes the first two");
   AddChoice(*command, "--every", options->every, {{"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge}},
-            "A step of the incremental mode: a pose with all its edges, or a single edge");
+            "What a step of the incremental mode brings: a pose with all its edges, or a single edge");
   AddReadOptions(*command, options->read);
-  command->add_option("--output", options->output, "Write the solved graph (g2o)");
-  command->add_option("--trajectory", options->trajectory, "Write the trajectory (.tum, or .kitti)");
+  command->add_option("--output", options->output, "Write the solved graph (g2o)")->type_name("PATH");
+  command
+      ->add_option(
+          "--trajectory", options->trajectory,
+          "Write the trajectory: PATH.tum (pose ids for stamps) or PATH.kitti (a line per pose, by ascending id)")
+      ->check(FindTrajectoryPathDefect)
+      ->type_name("PATH");
   AddChoice(*command, "--covariances", options->covariances,
             {{"none", Covariances::kNone}, {"last", Covariances::kLast}, {"diagonal", Covariances::kDiagonal}},
-            "Marginal covariances: of the last pose, or of every pose");
-  command->add_option("--covariance-output", options->covariance_output,
-                      "Where the covariances go (CSV; standard output by default)");
-  command->add_option("--stats", options->stats, "Write statistics (JSON)");
-  command->add_option("--threads", options->threads, "Upper limit of threads; the solver uses one")
-      ->check(CLI::PositiveNumber)
+            "Marginal covariances (body frame; metres, radians): of the last pose, or of every pose");
+  command
+      ->add_option("--covariance-output", options->covariance_output,
+                   "Where the covariances go (CSV; standard output by default); alone it means diagonal")
+      ->type_name("PATH");
+  command->add_option("--stats", options->stats, "Write statistics (JSON)")->type_name("PATH");
+  command->add_option("--threads", options->threads, "Upper limit of threads; the solver needs only one")
+      ->check(CLI::PositiveNumber.description(""))
       ->type_name("N");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors and warnings");
   command->footer("Example: terse solve sphere2500.g2o --output solved.g2o --stats stats.json");

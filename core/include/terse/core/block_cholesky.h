@@ -94,7 +94,12 @@ class BlockCholesky {
 
  private:
   struct Undo;
-  std::vector<int> AffectedFronts(const Changes& changes) const;
+  struct Region;
+  void CheckChanges(const Changes& changes) const;
+  std::vector<int> AffectedFronts(const Changes& changes);
+  void CollectCliques(int old_variables, Region& region);
+  std::vector<Front> MakeFronts(const Region& region) const;
+  void Replace(const std::vector<int>& affected, std::vector<Front> pending);
   void ApplyFactors(Changes& changes, std::vector<int>& added_slots, Undo& undo);
   void RevertFactors(const Undo& undo);
   void Attach(int slot);
@@ -112,7 +117,11 @@ class BlockCholesky {
   std::vector<int> front_of_;  // by variable
   std::vector<int> roots_;
   std::vector<double> solution_;
-  std::vector<int> row_of_;  // scratch: a variable's first row in the front at hand
+  // Scratch that stays allocated, so that an update costs nothing for what it does not touch.
+  std::vector<int> row_of_;        // by variable: first row in the front at hand
+  std::vector<int> local_;         // by variable: index in the region at hand, else -1
+  std::vector<char> is_affected_;  // by front
+  std::vector<char> moved_;        // by variable
   std::uint64_t version_ = 0;
 };
 
