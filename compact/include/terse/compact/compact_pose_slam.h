@@ -1,5 +1,6 @@
 #pragma once
-// Compact pose SLAM: keeps the poses and links that carry information (S, section 4, Algorithm 1).
+// Compact pose SLAM: keeps the poses and links that carry information (Ila et al., IJRR 2017,
+// section 4, Algorithm 1; equation numbers are theirs, see docs/algorithms.md).
 //
 // For every new pose n:
 //  1. its odometry is concatenated over the poses dropped since the last kept one;
@@ -10,7 +11,7 @@
 //     pose among them, would add more than min_pose_gain; otherwise it is dropped and only its chain is remembered.
 //
 // A pose enters the solver when it is kept, so dropping one costs nothing. Until then its covariance and
-// cross-covariances follow exactly from those of the pose its chain hangs on.
+// cross-covariances follow, to first order, from those of the kept pose its chain hangs on.
 //
 // AddPose throws std::invalid_argument or NumericalError and leaves the state as before. What the registration callback
 // throws, or a defective link that it returns throws, passes through; links accepted before it, and the pose with
@@ -78,9 +79,11 @@ const char* Name(PoseVerdict verdict);
 
 struct Decision {
   PoseId id;
-  std::vector<Candidate> candidates;  // as last evaluated, in order of the search
+  // In the order they were settled, as last evaluated. With kApal: what was registered, without probabilities and
+  // gains.
+  std::vector<Candidate> candidates;
   PoseVerdict verdict = PoseVerdict::kFirst;
-  // Least gain among the possible links, nats; absent when nothing was in range.
+  // Least gain among the possible links, before any was added, nats; absent when nothing was in range.
   std::optional<double> pose_gain;
   int registrations_tried = 0;
   int links_accepted = 0;
@@ -88,7 +91,8 @@ struct Decision {
 };
 
 // How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Eq. 24): chained to the kept pose before
-// them. kV2 (Eqs. 25-26): that chain's misfit at the next kept pose spread over it by its covariance.
+// them. kV2 (Eqs. 25-26): that chain's misfit at the next kept pose spread over it by its covariance; behind the last
+// kept pose as kV1.
 enum class Recovery { kV0, kV1, kV2 };
 
 template <class Pose>
@@ -107,6 +111,7 @@ class CompactPoseSlam {
   Decision AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration);
 
   // What is known of the pose to come as seen from kept poses: T_pose_new, before any link. Changes nothing.
+  // Throws std::invalid_argument before the first pose and for a pose that is not kept.
   std::vector<UncertainPose<Pose>> Predict(const CompactInput<Pose>& input, const std::vector<PoseId>& from) const;
 
   // The kept poses and links.

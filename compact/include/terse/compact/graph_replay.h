@@ -17,7 +17,8 @@ class GraphReplay {
   const std::vector<CompactInput<Pose>>& Inputs() const { return inputs_; }
   int LinksOffered() const { return static_cast<int>(links_.size()); }
 
-  // The edge between the two, each edge once: a second call gives the next of several. Refers to this object.
+  // The edge between the two, each edge once: a second call gives the next of several, then none. So one replay serves
+  // one run. Refers to this object.
   Registration<Pose> AsRegistration();
 
   // A sensor range that covers every link (the odometry, if there are no links): 1.5 times the longest one's length

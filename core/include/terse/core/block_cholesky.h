@@ -4,13 +4,13 @@
 // The factor minimises sum |A_i d + r_i|^2 over d, with B scalars per variable: H = A'A, b = -A'r. One structure
 // serves batch and incremental use: a tree of fronts. A front owns pivot variables P and couples them to separator
 // variables S, all of them pivots of its ancestors. It stores the panel [L_PP; L_SP; y_P'] and the update
-// matrix [.. ; ..] (lower triangle, the last row is the right-hand side) that it hands to its parent. Every linear
+// matrix of S (lower triangle, the last row is the right-hand side) that it hands to its parent. Every linear
 // factor is assembled at the front of its earliest variable.
 //
 // Update() changes the graph: affected are the fronts that hold a touched variable and all their ancestors; their
 // variables are ordered again (the newest last) and refactored, children that are not affected hand up their stored
-// update matrix. With everything affected this is batch factorisation (DESIGN: Ila et al. 2017, section 3, and
-// Kaess et al. 2012 for the tree).
+// update matrix. With everything affected this is batch factorisation (Ila et al., IJRR 2017, section 3;
+// Kaess et al., IJRR 2012, for the tree).
 //
 // Cost of Update: symbolic and numeric work on the affected fronts only. Not thread-safe for writing; const
 // functions may run concurrently. Instantiated for B = 3 and 6.
@@ -77,7 +77,7 @@ class BlockCholesky {
   int Variables() const { return static_cast<int>(front_of_.size()); }
   double LogDeterminant() const;   // ln det H
   double NewtonDecrement() const;  // |y|^2 = b' H^-1 b: the predicted decrease of chi2
-  // b = -A'r at the linearisation point, B scalars per variable.
+  // b = -A'r at the linearisation point, minus half the gradient of chi2; B scalars per variable.
   std::vector<double> Gradient() const;
   // diag(H).
   std::vector<double> Diagonal() const;

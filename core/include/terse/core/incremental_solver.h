@@ -5,9 +5,9 @@
 // tree that the change touches and back-substitutes; poses whose d has outgrown the tolerances are relinearised
 // together with the next update. The gauge is fixed as gauge.h describes.
 //
-// A new pose starts at T_estimate * T_from_to along its first factor to a known pose; without one it needs a
-// value of its own. Update is atomic: if it throws, the solver is as before. Not thread-safe for writing; const
-// functions may run concurrently.
+// A new pose starts at the value given with it, else at that of its pose prior, else at T_estimate * T_from_to along
+// its first factor to a known pose; the very first one may have none of these and starts at the identity. Update is
+// atomic: if it throws, the solver is as before. Not thread-safe for writing; const functions may run concurrently.
 
 #include <optional>
 #include <set>
@@ -48,8 +48,8 @@ struct UpdateSummary {
   int fronts_refactored = 0;
   int variables_refactored = 0;
   int variables_relinearised = 0;
-  int variables_moved = 0;
-  double flops = 0;  // of the refactored path: squared column counts
+  int variables_moved = 0;  // whose d the back-substitution changed
+  double flops = 0;         // of the refactored path: squared column counts
 };
 
 template <class Pose>
@@ -63,7 +63,8 @@ class IncrementalSolver {
   // NumericalError (the system would be singular).
   UpdateSummary Update(const GraphUpdate<Pose>& update);
 
-  // Iterates to the batch optimum. The result's poses are in the order of Graph().Poses().
+  // Iterates to the batch optimum, which becomes the linearisation point. The result's poses are in the order of
+  // Graph().Poses().
   BatchResult<Pose> Finish(const BatchOptions& options = {});
 
   // Poses and living factors; the pose values in it are the initial ones.

@@ -21,7 +21,8 @@ class Marginals {
 
   // Factors the graph at the values (by pose index). Throws NumericalError if the system is singular.
   Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body);
-  // Takes a factor at hand (variable = pose index), as BatchResult holds it.
+  // Takes a factor at hand (variable = pose index), as BatchResult holds it. Throws std::invalid_argument if the sizes
+  // differ.
   Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body, BlockCholesky<Pose::kDof> factor);
 
   // All throw std::invalid_argument for an unknown id.
@@ -46,7 +47,8 @@ class Marginals {
   SelectedInverse<Pose::kDof> inverse_;
 };
 
-// Covariance of T_a_b from the joint blocks of a and b (S, Eqs. 16-17): body frame, translation first.
+// Covariance of T_a_b from the joint blocks of a and b (Ila et al., IJRR 2017, Eqs. 16-17): body frame, translation
+// first.
 template <class Pose>
 typename Pose::Jacobian RelativeCovariance(const Pose& T_a_b, const typename Pose::Jacobian& Sigma_aa,
                                            const typename Pose::Jacobian& Sigma_ab,

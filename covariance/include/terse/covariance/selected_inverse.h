@@ -1,13 +1,14 @@
 #pragma once
 // Blocks of H^-1 out of the factor, without forming H^-1.
 //
-// Recursion (S, Eqs. 9-13, on fronts): top-down, with K = L_SP L_PP^-1 and Sigma_SS taken from the parent's block,
+// Recursion (Ila et al., IJRR 2017, Eqs. 9-13, on fronts): top-down, with K = L_SP L_PP^-1 and Sigma_SS taken from
+// the parent's block,
 //   Sigma_PP = L_PP^-T L_PP^-1 + K' Sigma_SS K,   Sigma_SP = -Sigma_SS K.
 // A query computes the fronts on its path to the root only and keeps them until the factor changes.
 // Columns of H^-1 are two triangular solves along the paths of the asked variables.
 //
-// Indices are variables of the factor. The factor must outlive the object. Concurrent queries are safe (serialised);
-// changing the factor during a query is not.
+// Indices are variables of the factor and not checked. The factor must outlive the object. Concurrent queries are safe
+// (serialised); changing the factor during a query is not.
 
 #include <map>
 #include <mutex>
