@@ -22,8 +22,9 @@ for strategy in apal apfl fpfl; do
 done
 cat <<END
 
-apal keeps all poses and all links, apfl all poses and the links that carry information, fpfl few of both.
+apal keeps all poses and all links (loops beside the odometry), apfl all poses and the links that carry information,
+fpfl few of both. One run of one data set: which ATE is the smallest is chance, that they are alike is not.
 Data and ground truth: $out/ellipse.g2o, $out/ground_truth.tum
-Results: $out/{apal,apfl,fpfl}/: compact.g2o (the map), trajectory.tum (all poses), decisions.csv, covariances.csv,
+Results, each in $out/apal, $out/apfl and $out/fpfl: compact.g2o (the map), trajectory.tum (all poses), decisions.csv, covariances.csv,
 stats.json, evaluation.json
 END

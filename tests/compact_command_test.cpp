@@ -245,7 +245,7 @@ TEST_F(CompactCommand, ReadOptionsAndQuiet) {
   Write("bad.g2o", "EDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1\n");
   ExpectFailure("compact bad.g2o --strategy apal --output bad", 1, "bad.g2o:1: ");
   EXPECT_FALSE(Exists("bad"));
-  EXPECT_NE(Succeed("compact bad.g2o --strategy apal --output bad --repair-information --quiet").err.find("clamped"),
+  EXPECT_NE(Succeed("compact bad.g2o --strategy apal --output bad --repair-information").err.find("clamped"),
             std::string::npos);
 }
 

@@ -22,7 +22,7 @@ void AddCompactCommand(CLI::App& app);
 // --rotation-information and --repair-information, for every subcommand that reads a graph.
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
 
-// A warning on standard error that says how many matrices --repair-information clamped.
+// Warnings on standard error: lines that were skipped, matrices that --repair-information clamped.
 void ReportRepairs(const GraphFile& file, const std::string& path);
 
 // An option that takes one of a few names; the present value of `target` is the default.

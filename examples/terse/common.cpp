@@ -34,6 +34,15 @@ void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
 }
 
 void ReportRepairs(const GraphFile& file, const std::string& path) {
+  std::string skipped;
+  for (const auto& [tag, count] : file.skipped_tags) {
+    if (tag.rfind("PARAMS_", 0) == 0) continue;  // sensor parameters say nothing about poses
+    skipped += (skipped.empty() ? "" : ", ") + tag + " " + std::to_string(count);
+  }
+  if (!skipped.empty()) {
+    std::cerr << "terse: warning: " << path << ": lines with tags that are not known here were skipped: " << skipped
+              << '\n';
+  }
   if (file.repaired_informations == 0) return;
   std::cerr << "terse: warning: " << path << ": " << file.repaired_informations
             << " information matrices were not positive definite and have been clamped\n";

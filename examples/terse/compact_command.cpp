@@ -125,7 +125,7 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
                 percent(static_cast<double>(number("links_kept")), static_cast<double>(number("links_offered"))),
                 number("registrations_tried"));
   std::cout << line;
-  std::snprintf(line, sizeof(line), "chi2 %g, %.2f s; results in %s\n", stats.chi2, stats.seconds_total,
+  std::snprintf(line, sizeof(line), "chi2 %g of the kept map, %.2f s; results in %s\n", stats.chi2, stats.seconds_total,
                 options.directory.c_str());
   std::cout << line;
   FlushOutput();
@@ -187,7 +187,7 @@ void Compact(const CompactCommandOptions& options) {
   const GraphFile file = ReadGraph(options.path, options.read);
   Stats stats;
   stats.seconds_read = SecondsNow() - start;
-  ReportRepairs(file, options.path);
+  if (!options.quiet) ReportRepairs(file, options.path);
   std::visit([&](const auto& graph) { CheckRange(graph, options); }, file.graph);
   // Before the long run, not after it.
   std::error_code error;
@@ -225,7 +225,9 @@ void AddCompactCommand(CLI::App& app) {
       ->check(CLI::Range(0.0, 0.999999).description(""))
       ->type_name("S")
       ->capture_default_str();
-  command->add_option("--min-pose-gain", options->min_pose_gain, "A pose is kept above this gain (nats)")
+  command
+      ->add_option("--min-pose-gain", options->min_pose_gain,
+                   "A pose is kept above this gain (nats), or if a loop closes at it")
       ->check(CLI::NonNegativeNumber.description(""))
       ->type_name("G");
   command->add_option("--min-loop-gain", options->min_loop_gain, "A link is kept above this gain (nats)")
@@ -239,7 +241,7 @@ void AddCompactCommand(CLI::App& app) {
   command->add_option("--output", options->directory, "Folder for the results, made if it is missing")
       ->required()
       ->type_name("DIR");
-  command->add_flag("--quiet", options->quiet, "Print nothing but errors and warnings");
+  command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   command->footer("Example: terse compact sphere2500.g2o --strategy fpfl --output sphere_fpfl");
   command->callback([options] { Compact(*options); });
 }

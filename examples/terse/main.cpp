@@ -54,7 +54,9 @@ int Run(int argc, char** argv) {
   CLI::App app("Compact pose SLAM: pose graphs that keep only what carries information.", "terse");
   app.set_version_flag("--version", "terse " TERSE_VERSION);
   app.require_subcommand(1);
-  app.footer("Example: terse generate sphere --output sphere.g2o && terse info sphere.g2o");
+  app.footer(
+      "Example: terse generate sphere --output sphere.g2o && terse info sphere.g2o\n"
+      "Exit codes: 0 done, 1 bad input, 2 usage, 3 numerical failure");
   terse::AddInfoCommand(app);
   terse::AddSolveCommand(app);
   terse::AddCompactCommand(app);

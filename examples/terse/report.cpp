@@ -9,6 +9,7 @@
 #include <iostream>
 #include <numeric>
 #include <set>
+#include <stdexcept>
 
 #include "commands.h"
 #include "terse/core/atomic_file.h"
@@ -119,6 +120,11 @@ Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return ids[a] < ids[b]; });
   Trajectory trajectory;
   for (const std::size_t k : order) {
+    // Beyond 2^53 neighbouring ids would become the same stamp.
+    if (std::abs(ids[k].value) > (std::int64_t{1} << 53)) {
+      throw std::invalid_argument("pose " + std::to_string(ids[k].value) +
+                                  ": ids beyond 2^53 do not fit into the stamps of a trajectory");
+    }
     trajectory.stamps.push_back(static_cast<double>(ids[k].value));
     if constexpr (Pose::kDim == 2) {
       trajectory.T_world_body.push_back(Lift(T_world_body[k]));

@@ -138,7 +138,12 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
   if (!options.quiet) {
     PrintSummary(stats, options.covariances != Covariances::kNone && options.covariance_output.empty());
   }
-  if (!stats.converged) std::cerr << "terse: warning: not converged: " << result.message << '\n';
+  if (!stats.converged && !options.quiet) std::cerr << "terse: warning: not converged: " << result.message << '\n';
+  // Good starts take about ten iterations.
+  if (options.mode == Mode::kBatch && options.initial != InitialValues::kChordal && stats.iterations > 30 &&
+      !options.quiet) {
+    std::cerr << "terse: warning: so many iterations often end in a local minimum; compare with --initial chordal\n";
+  }
 }
 
 void Solve(const SolveOptions& options) {
@@ -149,7 +154,7 @@ void Solve(const SolveOptions& options) {
   GraphFile file = ReadGraph(options.path, options.read);
   Stats stats;
   stats.seconds_read = SecondsNow() - start;
-  ReportRepairs(file, options.path);
+  if (!options.quiet) ReportRepairs(file, options.path);
   AddPathToErrors(options.path, [&] {
     std::visit([&](auto& graph) { SolveGraph(std::move(graph), options, std::move(stats), start); }, file.graph);
   });
@@ -191,7 +196,7 @@ void AddSolveCommand(CLI::App& app) {
   command->add_option("--threads", options->threads, "Upper limit of threads; the solver needs only one")
       ->check(CLI::PositiveNumber.description(""))
       ->type_name("N");
-  command->add_flag("--quiet", options->quiet, "Print nothing but errors and warnings");
+  command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   command->footer("Example: terse solve sphere2500.g2o --output solved.g2o --stats stats.json");
   command->callback([options] {
     const bool composed = options->initial == InitialValues::kCompose || options->initial == InitialValues::kFile;
