@@ -1,6 +1,7 @@
 #include "terse/core/incremental_solver.h"
 
 #include <algorithm>
+#include <cmath>
 #include <map>
 #include <set>
 #include <stdexcept>
@@ -21,6 +22,8 @@ constexpr size_t At(FactorId id) { return static_cast<size_t>(id.value); }
 // Relinearised factors may cost this many times as much as before (curved valleys climb a little) before the
 // points go only part of the way, at least this share of it.
 constexpr double kClimb = 4, kLeastShare = 0.05;
+// A d this many times its tolerance does not wait for the interval.
+constexpr double kUrgent = 30;
 
 }  // namespace
 
@@ -142,13 +145,13 @@ void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>& update, Plan
 }
 
 template <class Pose>
-bool IncrementalSolver<Pose>::ExceedsTolerance(int variable) const {
+bool IncrementalSolver<Pose>::ExceedsTolerance(int variable, double times) const {
   const double* d = factor_.Solution().data() + At(variable) * B;
   double metres2 = 0, radians2 = 0;
   for (int k = 0; k < Pose::kDim; ++k) metres2 += d[k] * d[k];
   for (int k = Pose::kDim; k < B; ++k) radians2 += d[k] * d[k];
-  return metres2 > options_.relinearize_metres * options_.relinearize_metres ||
-         radians2 > options_.relinearize_radians * options_.relinearize_radians;
+  return metres2 > std::pow(times * options_.relinearize_metres, 2) ||
+         radians2 > std::pow(times * options_.relinearize_radians, 2);
 }
 
 // A slot's factor at other linearisation points.
@@ -171,7 +174,9 @@ LinearFactor<Pose::kDof> IncrementalSolver<Pose>::LinearizeSlot(int slot, const 
 // where the linearisation means nothing; there the points go only part of the way.
 template <class Pose>
 void IncrementalSolver<Pose>::PlanRelinearisation(const std::set<FactorId>& removed, Plan& plan) const {
-  if ((updates_ + 1) % options_.relinearize_interval != 0) return;
+  const bool due = (updates_ + 1) % options_.relinearize_interval == 0;
+  const auto urgent = [&](int v) { return ExceedsTolerance(v, kUrgent); };
+  if (!due && std::none_of(outgrown_.begin(), outgrown_.end(), urgent)) return;
   std::set<int> slots;
   for (const int v : outgrown_) {
     if (!ExceedsTolerance(v)) continue;

@@ -24,8 +24,8 @@ struct IncrementalOptions {
   // A pose is relinearised when its d exceeds either.
   double relinearize_metres = 0.01;
   double relinearize_radians = 0.01;
-  // Relinearisation is considered at every n-th update: between them an update costs a tenth on large graphs, and
-  // the estimate, which includes d, hardly notices.
+  // Relinearisation is considered at every n-th update, or at once when a d exceeds 30 times its tolerance: the
+  // updates between touch far less, and the estimate, which includes d, hardly notices.
   int relinearize_interval = 10;
   // Back-substitution leaves a subtree alone when no scalar above it moved by more. 0 is exact.
   double propagation_threshold = 1e-5;
@@ -93,7 +93,7 @@ class IncrementalSolver {
   void Commit(const GraphUpdate<Pose>& update, const Plan& plan, UpdateSummary& summary,
               const std::vector<int>& added_slots);
   void BackSubstitute(UpdateSummary& summary);
-  bool ExceedsTolerance(int variable) const;
+  bool ExceedsTolerance(int variable, double times = 1) const;
   AbsoluteFactors AbsoluteFactorsAfter(const GraphUpdate<Pose>& update) const;
 
   IncrementalOptions options_;
