@@ -183,7 +183,7 @@ TEST_F(Command, VerticesAreDeadReckoned) {
 }
 
 TEST_F(Command, AFullDiskIsAnError) {
-  if (!fs::exists("/dev/full")) GTEST_SKIP() << "this system has no /dev/full";
+  ASSERT_TRUE(fs::exists("/dev/full"));
   const std::string line = "'" TERSE_COMMAND "' generate ellipse > /dev/full 2> '" + (folder_ / "e").string() + "'";
   const int status = std::system(line.c_str());
   EXPECT_EQ(WEXITSTATUS(status), 1);
