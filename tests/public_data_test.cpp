@@ -64,7 +64,6 @@ TEST(PublicDataTest, ParkingGarage) {
 
 TEST(PublicDataTest, Sphere2500) {
   TERSE_NEEDS("graphs/3d/sphere2500.g2o");
-  if (kSlowBuild) GTEST_SKIP() << "too slow with sanitizers";
   const double chi2 = Optimum(Load<SE3>(*file));
   EXPECT_GT(chi2, 727);
   EXPECT_LT(chi2, 730);
@@ -74,7 +73,6 @@ TEST(PublicDataTest, Sphere2500) {
 
 TEST(PublicDataTest, Torus3D) {
   TERSE_NEEDS("graphs/3d/torus3D.g2o");
-  if (kSlowBuild) GTEST_SKIP() << "too slow with sanitizers";
   // GTSAM ends at 24239 with approximate Jacobians.
   const double chi2 = Optimum(Load<SE3>(*file, kRadians), kChordal);
   EXPECT_GE(chi2, 24235);
@@ -94,13 +92,11 @@ TEST(PublicDataTest, SmallGrid3D) {
 
 TEST(PublicDataTest, SphereBignoise) {
   TERSE_NEEDS("graphs/3d/sphere_bignoise_vertex3.g2o");
-  if (kSlowBuild) GTEST_SKIP() << "too slow with sanitizers";
   EXPECT_GT(Optimum(Load<SE3>(*file), kChordal), 0);  // and converged
 }
 
 TEST(PublicDataTest, City10000) {
   TERSE_NEEDS("graphs/2d/city10000.g2o");
-  if (kSlowBuild) GTEST_SKIP() << "too slow with sanitizers";
   ExpectOptimum(Optimum(Load<SE2>(*file), kChordal), Printed(511.985, 0.0005));
 }
 
@@ -113,7 +109,6 @@ TEST(PublicDataTest, Manhattan) {
 
 TEST(PublicDataTest, HogMan) {
   TERSE_NEEDS("graphs/2d/w10000_hogman.graph");
-  if (kSlowBuild) GTEST_SKIP() << "too slow with sanitizers";
   const auto graph = Load<SE2>(*file);
   for (const auto start : {kFile, kTree, kChordal}) ExpectOptimum(Optimum(graph, start), Printed(171545.45, 0.005));
 }
@@ -221,7 +216,6 @@ TEST(PublicDataTest, IncrementalStaysNearTheOptimumOnSphere2500) {
 // Few poses, few links, with thresholds from a sample of the set, as the command does it.
 template <class Pose>
 void RunFewPosesFewLinks(const std::string& path) {
-  if (kSlowBuild) GTEST_SKIP() << "too slow with sanitizers";
   const auto graph = Load<Pose>(path);
   GraphReplay<Pose> replay(graph);
   const Thresholds<Pose> chosen = SelectThresholds(graph);
