@@ -82,8 +82,8 @@ std::vector<int> BlockCholesky<B>::Solve(double threshold) {
 }
 
 template <int B>
-void BlockCholesky<B>::ClearSolution(int variable) {
-  std::fill_n(solution_.begin() + static_cast<long>(variable) * B, B, 0.0);
+void BlockCholesky<B>::SetSolution(int variable, const Vector<B>& d) {
+  std::copy_n(d.data(), B, solution_.begin() + static_cast<long>(variable) * B);
 }
 
 template <int B>

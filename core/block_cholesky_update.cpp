@@ -321,6 +321,7 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(Changes changes
   Replace(region.fronts, pending, id_of);
   forget();
   free_slots_.insert(free_slots_.end(), changes.removed.begin(), changes.removed.end());
+  report.path = FactorPath::kRefactored;
   report.ok = true;
   version_ = internal::NextVersion();
   return report;

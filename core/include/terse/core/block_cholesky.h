@@ -23,6 +23,14 @@
 
 namespace terse {
 
+// How changes came into the factor.
+enum class FactorPath {
+  kNone,        // nothing was added or removed
+  kAppended,    // new variables hang below what is there, which did not change
+  kRankUpdate,  // rank-k update along the paths to the root
+  kRefactored,  // the paths were ordered and factored again
+};
+
 template <int B>
 class BlockCholesky {
  public:
@@ -51,6 +59,8 @@ class BlockCholesky {
     bool ok = false;
     int failed_variable = -1;       // where the matrix was found not to be positive definite
     std::vector<int> added_slots;   // one per added factor
+    FactorPath path = FactorPath::kNone;
+    int fronts_updated = 0;         // by rank-k update
     int fronts = 0, variables = 0;  // refactored
     double flops = 0;               // sum of squared column counts
     double seconds_order = 0;       // of the symbolic part
@@ -71,8 +81,10 @@ class BlockCholesky {
   std::vector<int> Solve(double threshold = 0);
   // d, B scalars per variable, as of the last Solve.
   const std::vector<double>& Solution() const { return solution_; }
+  // Sets d of one variable, until a Solve visits it.
+  void SetSolution(int variable, const Vector<B>& d);
   // Sets d of one variable to zero: its linearisation point took the step over.
-  void ClearSolution(int variable);
+  void ClearSolution(int variable) { SetSolution(variable, Vector<B>::Zero()); }
 
   int Variables() const { return static_cast<int>(front_of_.size()); }
   double LogDeterminant() const;   // ln det H

@@ -1,35 +1,27 @@
 #pragma once
 // Incremental optimisation of a growing pose graph.
 //
-// The estimate is the linearisation point plus d (as iSAM2, Kaess et al. 2012): every update refactors the path of the
-// tree that the change touches and back-substitutes; poses whose d has outgrown the tolerances are relinearised
-// together with the next update. The gauge is fixed as gauge.h describes.
+// Every update adds its factors to the block factor, along the paths of the tree that they touch. The gate decides
+// whether the map is optimised for them, the options how (incremental_options.h). The gauge is fixed as gauge.h
+// describes.
 //
 // A new pose starts at the value given with it, else at that of its pose prior, else at T_estimate * T_from_to along
 // its first factor to a known pose; the very first one may have none of these and starts at the identity. Update is
 // atomic: if it throws, the solver is as before. Not thread-safe for writing; const functions may run concurrently.
 
+#include <chrono>
+#include <functional>
+#include <map>
 #include <optional>
-#include <set>
 #include <vector>
 
 #include "terse/core/batch_solver.h"
 #include "terse/core/block_cholesky.h"
 #include "terse/core/gauge.h"
+#include "terse/core/incremental_options.h"
 #include "terse/core/pose_graph.h"
 
 namespace terse {
-
-struct IncrementalOptions {
-  // A pose is relinearised when its d exceeds either.
-  double relinearize_metres = 0.01;
-  double relinearize_radians = 0.01;
-  // Relinearisation is considered at every n-th update, or at once when a d exceeds 30 times its tolerance: the
-  // updates between touch far less, and the estimate, which includes d, hardly notices.
-  int relinearize_interval = 10;
-  // Back-substitution leaves a subtree alone when no scalar above it moved by more. 0 is exact.
-  double propagation_threshold = 1e-5;
-};
 
 template <class Pose>
 struct GraphUpdate {
@@ -43,15 +35,6 @@ struct GraphUpdate {
   std::vector<FactorId> removed;
 };
 
-struct UpdateSummary {
-  std::vector<FactorId> factor_ids;  // one per added factor
-  int fronts_refactored = 0;
-  int variables_refactored = 0;
-  int variables_relinearised = 0;
-  int variables_moved = 0;  // whose d the back-substitution changed
-  double flops = 0;         // of the refactored path: squared column counts
-};
-
 template <class Pose>
 class IncrementalSolver {
  public:
@@ -61,7 +44,7 @@ class IncrementalSolver {
 
   // Throws std::invalid_argument (unknown or duplicate ids, defective factors, a pose no factor reaches) or
   // NumericalError (the system would be singular).
-  UpdateSummary Update(const GraphUpdate<Pose>& update);
+  StepReport Update(const GraphUpdate<Pose>& update);
 
   // Iterates to the batch optimum, which becomes the linearisation point. The result's poses are in the order of
   // Graph().Poses().
@@ -82,19 +65,44 @@ class IncrementalSolver {
   const PhaseSeconds& Seconds() const { return seconds_; }
 
  private:
+  using Clock = std::chrono::steady_clock;
+  using PointOf = std::function<const Pose&(int)>;
+  using Replacements = std::vector<std::pair<int, LinearFactor<B>>>;
   struct Plan;
+  struct GateValues {
+    double log_determinant = 0;
+    int variables = 0;
+  };
+  // incremental_plan.cpp: what an update brings.
   void Validate(const GraphUpdate<Pose>& update) const;
   void PlanNewPoses(const GraphUpdate<Pose>& update, Plan& plan) const;
-  void PlanRelinearisation(const std::set<FactorId>& removed, Plan& plan) const;
   void PlanFactors(const GraphUpdate<Pose>& update, Plan& plan) const;
-  template <class Point>
-  LinearFactor<Pose::kDof> LinearizeSlot(int slot, const Point& point) const;
   void PlanAnchor(const GraphUpdate<Pose>& update, Plan& plan) const;
-  void Commit(const GraphUpdate<Pose>& update, const Plan& plan, UpdateSummary& summary,
-              const std::vector<int>& added_slots);
-  void BackSubstitute(UpdateSummary& summary);
-  bool ExceedsTolerance(int variable, double times = 1) const;
   AbsoluteFactors AbsoluteFactorsAfter(const GraphUpdate<Pose>& update) const;
+  void Commit(const GraphUpdate<Pose>& update, const Plan& plan, StepReport& report,
+              const std::vector<int>& added_slots);
+  // incremental_solver.cpp
+  void AddToFactor(const GraphUpdate<Pose>& update, Plan& plan, StepReport& report);
+  typename BlockCholesky<B>::UpdateReport UpdateFactor(typename BlockCholesky<B>::Changes changes, StepReport& report);
+  // incremental_gate.cpp
+  GateValues ValuesForGate() const;
+  void ChangeCosts(const LinearFactor<B>& factor, int sign);
+  void RecountCosts();
+  double LinearMinimum() const { return cost_at_points_ - factor_.NewtonDecrement(); }
+  double RemainingDecrease() const;
+  bool ClosesLoop(const GraphUpdate<Pose>& update) const;
+  void DecideGate(const GraphUpdate<Pose>& update, const Plan& plan, const GateValues& before, StepReport& report);
+  void PlaceNewPoses(int new_poses, StepReport& report);
+  // incremental_offsets.cpp: Carry::kOffset, and relinearisation for both.
+  bool ExceedsTolerance(int variable, double times = 1) const;
+  LinearFactor<Pose::kDof> LinearizeSlot(int slot, const PointOf& point) const;
+  Replacements LinearizeAround(const std::map<int, Pose>& points) const;
+  bool Relinearize(const std::map<int, Pose>& points, Replacements replaced, StepReport& report);
+  void RelinearizeOutgrown(StepReport& report);
+  void OptimizeOffsets(Clock::time_point start, StepReport& report);
+  void BackSubstitute(StepReport& report);
+  // incremental_points.cpp: Carry::kPoint.
+  void MovePoints(StepReport& report);
 
   IncrementalOptions options_;
   PoseGraph<Pose> graph_;
@@ -108,6 +116,12 @@ class IncrementalSolver {
   std::vector<int> outgrown_;      // poses whose d was seen to exceed a tolerance
   std::vector<char> is_outgrown_;  // by pose index
   long updates_ = 0;
+  // Of the linearised system: chi2 at the linearisation points, and at the present d.
+  double cost_at_points_ = 0, linear_cost_ = 0;
+  long measured_scalars_ = 0;
+  double eta_ = 0;  // 1/2 ln |H| when the previous step's factors had been added
+  int eta_variables_ = 0;
+  bool deferred_ = false;  // work is left from earlier steps
   PhaseSeconds seconds_;
 };
 

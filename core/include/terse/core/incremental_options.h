@@ -1,0 +1,105 @@
+#pragma once
+// How much an incremental step re-optimises, and what it reports.
+//
+// A step adds its factors to the block factor, asks the gate whether the map is optimised at all, and then carries the
+// Gauss-Newton step in one of two ways. All published variants are settings of these options (PolicyOptions).
+// Sources: Arablouei, "Efficient Incremental SLAM via Information-Guided and Selective Optimization" (gates, partial
+// optimisation; "A" below); Kaess et al., IJRR 2012 (estimate = linearisation point + d).
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "terse/core/block_cholesky.h"
+#include "terse/core/pose_graph.h"
+
+namespace terse {
+
+// kOffset: estimate = linearisation point + d. Back-substitution reports every step in the estimate; poses whose d
+//   outgrew its tolerance are relinearised when the interval comes round.
+// kPoint: the estimate is the linearisation point. Poses whose step exceeds the step tolerance move and are
+//   relinearised, the rest of the step is dropped (A, Eqs. 17-18).
+enum class Carry { kOffset, kPoint };
+
+// What has to exceed the gate's threshold for the map to be optimised in a step.
+enum class Gate {
+  kNewtonDecrement,    // predicted decrease of chi2 that the estimate does not have yet; see DecreaseScale
+  kMutualInformation,  // gain of the new factors about what was known, 1/2 ln |I + A Sigma A'|, nats
+  kLogDeterminant,     // eta_t - N_t / N_{t-1} eta_{t-1}, eta = 1/2 ln |H|, N scalars: A's published code, not its Eq. 6
+  kLoopClosure,        // a new relative factor between known poses whose ids differ by more than the threshold
+  kAlways,
+  kNever,
+};
+
+// The unit of the threshold of Gate::kNewtonDecrement.
+enum class DecreaseScale {
+  kAbsolute,  // of chi2 itself
+  kChi2,      // relative to the linearised chi2 at its minimum
+  kDof,       // relative to the scalars measured beyond those estimated (at least one)
+};
+
+struct IncrementalOptions {
+  Carry carry = Carry::kOffset;
+  Gate gate = Gate::kNewtonDecrement;
+  double gate_threshold = 1e-5;
+  DecreaseScale decrease_scale = DecreaseScale::kChi2;
+
+  // kOffset: a pose is relinearised when its d exceeds either.
+  double relinearize_metres = 0.01;
+  double relinearize_radians = 0.01;
+  // Relinearisation is considered at every n-th step, or at once when a d exceeds 30 times its tolerance: the
+  // steps between touch far less, and the estimate, which includes d, hardly notices.
+  int relinearize_interval = 10;
+  // Back-substitution leaves a subtree alone when no scalar above it moved by more. 0 is exact.
+  double propagation_threshold = 1e-5;
+
+  // kPoint: the step tolerance (A's tau_d) and the largest number of Gauss-Newton iterations (A's tau_GN).
+  double step_metres = 1e-3;
+  double step_radians = 1e-3;
+  int max_iterations = 10;
+  // kPoint: only the poses that the last iteration moved, and their neighbours, take part in the next; else all do.
+  bool partial = false;
+
+  // Seconds a step may take; 0: no limit. What does not fit is deferred to later steps, largest expected gain first.
+  // Adding the factors themselves is never deferred.
+  double budget_seconds = 0;
+
+  // Information of the proximal anchor on every tangent direction of the first pose, whatever priors there are.
+  // Absent: as gauge.h describes.
+  std::optional<double> anchor_information;
+
+  // Fill in StepReport::actual_decrease (evaluates the factors on moved poses once more).
+  bool report_cost = false;
+  // Fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
+  bool report_paper_flops = false;
+};
+
+// What is wrong with the options, or "".
+std::string FindDefect(const IncrementalOptions& options);
+
+// A's variants, with max_iterations and partial as published; gate threshold and step tolerance are per data set.
+enum class Policy { kDefault, kGn1, kGni, kGniLcg, kGniIgg, kGniSpo, kGniSpoLcg, kGniSpoIgg };
+IncrementalOptions PolicyOptions(Policy policy);
+
+struct StepReport {
+  std::vector<FactorId> factor_ids;  // one per added factor
+  FactorPath path = FactorPath::kNone;  // of the added and removed factors
+  int fronts_updated = 0;     // by rank-k update
+  int fronts_refactored = 0;  // all iterations
+  int variables_refactored = 0;
+  bool gate_open = true;
+  double gate_value = 0;  // in the gate's unit
+  int iterations = 0;     // Gauss-Newton steps taken
+  int variables_relinearised = 0;
+  int variables_moved = 0;        // whose estimate changed
+  double predicted_decrease = 0;  // of chi2 by this step, linearised
+  double actual_decrease = 0;     // of chi2 over the factors on moved poses; if report_cost
+  double gain_nats = 0;           // of the new factors about the poses known before
+  int deferred_relinearisations = 0;
+  int deferred_fronts = 0;  // subtrees that back-substitution left for later
+  double flops = 0;         // factorisation: squared column counts, and 4 k times the entries for rank-k updates
+  double solve_flops = 0;   // back-substitution: twice the entries visited
+  double paper_update_flops = 0, paper_solve_flops = 0;
+};
+
+}  // namespace terse

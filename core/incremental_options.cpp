@@ -1,0 +1,43 @@
+#include "terse/core/incremental_options.h"
+
+#include <cmath>
+
+namespace terse {
+
+std::string FindDefect(const IncrementalOptions& options) {
+  const auto is_size = [](double x) { return std::isfinite(x) && x >= 0; };
+  if (std::isnan(options.gate_threshold)) return "the gate's threshold is not a number";
+  if (!is_size(options.relinearize_metres) || !is_size(options.relinearize_radians) || !is_size(options.step_metres) ||
+      !is_size(options.step_radians) || !is_size(options.propagation_threshold)) {
+    return "tolerances must not be negative";
+  }
+  if (options.relinearize_interval < 1) return "the relinearisation interval must be at least 1";
+  if (options.max_iterations < 1) return "at least one iteration is needed";
+  if (!is_size(options.budget_seconds)) return "the budget must not be negative";
+  if (options.anchor_information && !(*options.anchor_information > 0)) return "the anchor must be positive";
+  return "";
+}
+
+IncrementalOptions PolicyOptions(Policy policy) {
+  IncrementalOptions options;
+  if (policy == Policy::kDefault) return options;
+  options.carry = Carry::kPoint;
+  options.gate = Gate::kAlways;
+  options.max_iterations = policy == Policy::kGn1 ? 1 : 10;
+  switch (policy) {
+    case Policy::kGniLcg:
+    case Policy::kGniSpoLcg:
+      options.gate = Gate::kLoopClosure;
+      options.gate_threshold = 4;
+      break;
+    case Policy::kGniIgg:
+    case Policy::kGniSpoIgg: options.gate = Gate::kLogDeterminant; break;
+    default: break;
+  }
+  if (options.gate == Gate::kLogDeterminant) options.gate_threshold = 1;
+  options.partial =
+      policy == Policy::kGniSpo || policy == Policy::kGniSpoLcg || policy == Policy::kGniSpoIgg;
+  return options;
+}
+
+}  // namespace terse

@@ -1,0 +1,25 @@
+#pragma once
+// Everything an update will change, worked out before anything is.
+
+#include <map>
+
+#include "terse/core/incremental_solver.h"
+
+namespace terse {
+
+template <class Pose>
+struct IncrementalSolver<Pose>::Plan {
+  std::map<PoseId, int> new_index;
+  std::vector<Pose> new_values;  // in the order of update.poses
+  typename BlockCholesky<B>::Changes changes;
+  bool adds_anchor = false;
+  AbsoluteFactors absolute;
+  Vector<B> anchor_information;
+
+  int IndexOf(PoseId id, const PoseGraph<Pose>& graph) const {
+    const auto it = new_index.find(id);
+    return it != new_index.end() ? it->second : graph.IndexOf(id);
+  }
+};
+
+}  // namespace terse
