@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "dense_kernels.h"
 #include "version.h"
 
 namespace terse {
@@ -15,10 +16,10 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 template <int B>
 void BlockCholesky<B>::SetFactor(int slot, const LinearFactor<B>& factor) {
-  LinearFactor<B>& old = factors_.at(At(slot));
+  const LinearFactor<B>& old = factors_.at(At(slot));
   if (old.first != factor.first || old.second != factor.second)
     throw std::invalid_argument("a factor may not change its variables");
-  old = factor;
+  SetSlot(slot, factor);
 }
 
 template <int B>
@@ -26,7 +27,17 @@ bool BlockCholesky<B>::Refactor(const std::vector<double>& damping) {
   version_ = internal::NextVersion();
   std::vector<int> order = TopDown();
   for (auto it = order.rbegin(); it != order.rend(); ++it) {
-    if (FactorFront(fronts_[At(*it)], {}, damping) >= 0) return false;
+    Front& front = fronts_[At(*it)];
+    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
+    if (front.panel.size() < rows * At(front.Columns())) front.panel = pool_.Take(rows * At(front.Columns()));
+    if (front.update.size() < n * n) front.update = pool_.Take(n * n);
+    if (FactorFront(front, {}, damping) >= 0) return false;
+  }
+  log_det_ = y2_ = 0;
+  for (const int f : order) {
+    fronts_[At(f)].fresh = true;
+    log_det_ += fronts_[At(f)].log_det;
+    y2_ += fronts_[At(f)].y2;
   }
   return true;
 }
@@ -43,39 +54,54 @@ std::vector<int> BlockCholesky<B>::TopDown() const {
 }
 
 template <int B>
-std::vector<int> BlockCholesky<B>::Solve(double threshold) {
-  moved_.resize(front_of_.size(), 0);
-  std::vector<int> changed, stack(roots_);
-  Eigen::VectorXd x;
+std::vector<int> BlockCholesky<B>::Solve(double threshold, std::optional<Clock::time_point> deadline) {
+  moved_.resize(front_of_.size(), 0.0);
+  last_solve_ = {};
+  std::vector<int> changed;
+  using Entry = std::pair<double, int>;  // largest change among the separators, front
+  std::vector<Entry> stack;
+  for (auto it = waiting_.rbegin(); it != waiting_.rend(); ++it) stack.emplace_back(0.0, *it);
+  for (const int f : roots_) stack.emplace_back(0.0, f);
+  waiting_.clear();
+  std::vector<double> x;
   while (!stack.empty()) {
-    Front& front = fronts_[At(stack.back())];
+    if (deadline && last_solve_.flops > 0) {
+      if (Clock::now() > *deadline) break;
+      std::iter_swap(std::max_element(stack.begin(), stack.end()), stack.end() - 1);
+    }
+    const double above = stack.back().first;
+    Front& front = fronts_[At(stack.back().second)];
     stack.pop_back();
-    const auto is_moved = [&](int v) { return moved_[At(v)] != 0; };
-    if (!front.fresh && std::none_of(front.separators.begin(), front.separators.end(), is_moved)) {
-      // Nothing changed here; a refactored front has refactored ancestors, so none is below.
-      continue;
-    }
+    // Nothing changed here; a front that was refactored below has refactored ancestors, or waits itself.
+    if (!front.fresh && above == 0) continue;
+    if (front.pivots.empty()) continue;  // waited and is no more
     front.fresh = false;
-    stack.insert(stack.end(), front.children.begin(), front.children.end());
     const int rows = front.Rows(), p = front.Columns();
-    const Eigen::Map<const Eigen::MatrixXd> L(front.panel.data(), rows, p);
-    x = L.row(rows - 1).transpose();
-    int row = p;
-    for (const int v : front.separators) {
-      const Eigen::Map<const Eigen::Matrix<double, B, 1>> xs(solution_.data() + At(v) * B);
-      x.noalias() -= L.middleRows<B>(row).transpose() * xs;
-      row += B;
-    }
-    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(x);
+    x.resize(At(rows));
+    double* separators = x.data() + p;
+    for (const int v : front.separators) separators = std::copy_n(solution_.data() + At(v) * B, B, separators);
+    internal::Kernels().back_substitute(front.panel.data(), rows, p, x.data());
+    last_solve_.flops += 2.0 * rows * p - 1.0 * p * p;
     for (size_t k = 0; k < front.pivots.size(); ++k) {
       const int v = front.pivots[k];
-      Eigen::Map<Eigen::Matrix<double, B, 1>> old(solution_.data() + At(v) * B);
-      const auto value = x.segment<B>(static_cast<Eigen::Index>(k) * B);
-      if ((value - old).cwiseAbs().maxCoeff() <= threshold) continue;
+      Eigen::Map<Vector<B>> old(solution_.data() + At(v) * B);
+      const Eigen::Map<const Vector<B>> value(x.data() + k * B);
+      const double change = (value - old).cwiseAbs().maxCoeff();
+      if (change <= threshold) continue;
       old = value;
-      moved_[At(v)] = 1;
+      moved_[At(v)] = change;
       changed.push_back(v);
     }
+    for (const int child : front.children) {
+      double largest = 0;
+      for (const int v : fronts_[At(child)].separators) largest = std::max(largest, moved_[At(v)]);
+      if (largest > 0 || fronts_[At(child)].fresh) stack.emplace_back(largest, child);
+    }
+  }
+  last_solve_.deferred = static_cast<int>(stack.size());
+  for (const Entry& entry : stack) {
+    fronts_[At(entry.second)].fresh = true;
+    waiting_.push_back(entry.second);
   }
   for (const int v : changed) moved_[At(v)] = 0;
   return changed;
@@ -84,20 +110,6 @@ std::vector<int> BlockCholesky<B>::Solve(double threshold) {
 template <int B>
 void BlockCholesky<B>::SetSolution(int variable, const Vector<B>& d) {
   std::copy_n(d.data(), B, solution_.begin() + static_cast<long>(variable) * B);
-}
-
-template <int B>
-double BlockCholesky<B>::LogDeterminant() const {
-  double sum = 0;
-  for (const int f : roots_) sum += fronts_[At(f)].subtree_log_det;
-  return sum;
-}
-
-template <int B>
-double BlockCholesky<B>::NewtonDecrement() const {
-  double sum = 0;
-  for (const int f : roots_) sum += fronts_[At(f)].subtree_y2;
-  return sum;
 }
 
 template <int B>

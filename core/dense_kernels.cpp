@@ -2,10 +2,13 @@
 
 namespace terse::internal {
 
-#define TERSE_DECLARE_KERNELS(set)                                                      \
-  namespace set {                                                                       \
-  int FactorPanel(double* panel, int rows, int pivots);                                 \
-  void SubtractOuter(double* update, int n, const double* panel, int rows, int pivots); \
+#define TERSE_DECLARE_KERNELS(set)                                                                      \
+  namespace set {                                                                                       \
+  int FactorPanel(double* panel, int rows, int pivots);                                                 \
+  void SubtractProduct(double* c, int n, const double* a, const double* b, int ld, int depth);          \
+  void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);        \
+  void BackSubstitute(const double* panel, int rows, int pivots, double* x);                            \
+  constexpr DenseKernels kKernels = {#set, FactorPanel, SubtractProduct, RankUpdate, BackSubstitute};   \
   }
 TERSE_DECLARE_KERNELS(baseline)
 #ifdef TERSE_X86_KERNELS
@@ -15,12 +18,12 @@ TERSE_DECLARE_KERNELS(avx512)
 #undef TERSE_DECLARE_KERNELS
 
 std::vector<DenseKernels> AvailableKernels() {
-  std::vector<DenseKernels> out = {{"baseline", baseline::FactorPanel, baseline::SubtractOuter}};
+  std::vector<DenseKernels> out = {baseline::kKernels};
 #ifdef TERSE_X86_KERNELS
   if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
-    out.push_back({"avx2", avx2::FactorPanel, avx2::SubtractOuter});
+    out.push_back(avx2::kKernels);
     if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl")) {
-      out.push_back({"avx512", avx512::FactorPanel, avx512::SubtractOuter});
+      out.push_back(avx512::kKernels);
     }
   }
 #endif

@@ -11,8 +11,14 @@ struct DenseKernels {
   // In place on the first `pivots` columns of a lower-trapezoidal panel with `rows` rows and leading dimension
   // `rows`: top = L L', bottom = bottom L^-T. Returns the column whose pivot is not positive and finite, or -1.
   int (*factor_panel)(double* panel, int rows, int pivots);
-  // U (n x n, leading dimension n) -= S S', S being the last n rows of the factored panel.
-  void (*subtract_outer)(double* update, int n, const double* panel, int rows, int pivots);
+  // Lower triangle of C (n x n, leading dimension n) -= A B', A and B n x depth with leading dimension ld.
+  void (*subtract_product)(double* c, int n, const double* a, const double* b, int ld, int depth);
+  // The first `pivots` columns of [L; y'] (rows x pivots, lower trapezoidal, leading dimension ld) become those of
+  // L L' + W W', W having `columns` columns and the same rows. What W holds in its other rows afterwards is the update
+  // of what is below. Pivots may be zero.
+  void (*rank_update)(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);
+  // x (pivots, then separators, rows - 1 in all): the pivots' part of L' x = y, y in the panel's last row.
+  void (*back_substitute)(const double* panel, int rows, int pivots, double* x);
 };
 
 // The best for this processor.

@@ -1,7 +1,7 @@
 // The dense kernels for one instruction set. Included by dense_kernels_*.cpp, each compiled for its own, after these
 // are defined:
 //   TERSE_KERNEL_NAMESPACE, TERSE_VECTOR_DOUBLES (per register), TERSE_TILE_VECTORS x TERSE_TILE_COLUMNS (register
-//   tile).
+//   tile), TERSE_RANK_VECTORS (of rows at a time in a rank update).
 // Everything else has internal linkage and nothing from the standard library or Eigen is used: an inline function
 // compiled here for a newer processor must not become the copy that the whole program runs.
 
@@ -77,15 +77,14 @@ void ColumnsOf(int count, double* c, long ldc, const double* a, long lda, const 
   }
 }
 
-// The lower trapezoid of C (rows x columns) -= A A', of which A's first `columns` rows are the right factor. The
-// upper triangles of tiles on the diagonal are written too: nobody reads them.
-void SubtractLower(double* c, long ldc, const double* a, long lda, int rows, int columns, int depth) {
+// The lower trapezoid of C (rows x columns) -= A B', A with `rows` and B with `columns` rows. The upper triangles of
+// tiles on the diagonal are written too: nobody reads them.
+void SubtractLower(double* c, long ldc, const double* a, const double* b, long ld, int rows, int columns, int depth) {
   for (int k = 0; k < depth; k += kDepth) {
     const int d = depth - k < kDepth ? depth - k : kDepth;
-    const double* from = a + k * lda;
     for (int j = 0; j < columns; j += kTileColumns) {
       const int n = columns - j < kTileColumns ? columns - j : kTileColumns;
-      ColumnsOf<kTileColumns>(n, c + j * ldc + j, ldc, from + j, lda, from + j, lda, rows - j, d);
+      ColumnsOf<kTileColumns>(n, c + j * ldc + j, ldc, a + k * ld + j, ld, b + k * ld + j, ld, rows - j, d);
     }
   }
 }
@@ -101,6 +100,99 @@ inline void Scale(double* target, double factor, int n) {
   int i = 0;
   for (; i + kWidth <= n; i += kWidth) Store(target + i, factor * Load(target + i));
   for (; i < n; ++i) target[i] *= factor;
+}
+
+inline double Dot(const double* a, const double* b, int n) {
+  Vector sum[4] = {};
+  int i = 0;
+  for (; i + 4 * kWidth <= n; i += 4 * kWidth) {
+    for (int v = 0; v < 4; ++v) sum[v] += Load(a + i + v * kWidth) * Load(b + i + v * kWidth);
+  }
+  for (; i + kWidth <= n; i += kWidth) sum[0] += Load(a + i) * Load(b + i);
+  sum[0] += sum[1] + (sum[2] + sum[3]);
+  double total = 0;
+  for (int lane = 0; lane < kWidth; ++lane) total += sum[0][lane];
+  for (; i < n; ++i) total += a[i] * b[i];
+  return total;
+}
+
+// Reflections [1, v] with factor tau, one per column of L, each taking its column and the K columns of W with it.
+// V vectors of rows.
+template <int K, int V>
+inline void Reflect(double* l, long ld, double* w, long ldw, int columns, const double (*v)[K], const double* tau) {
+  Vector W[K][V];
+  for (int k = 0; k < K; ++k) {
+    for (int i = 0; i < V; ++i) W[k][i] = Load(w + k * ldw + i * kWidth);
+  }
+  for (int j = 0; j < columns; ++j) {
+    Vector old[V], t[V];
+    for (int i = 0; i < V; ++i) t[i] = old[i] = Load(l + j * ld + i * kWidth);
+    for (int k = 0; k < K; ++k) {
+      for (int i = 0; i < V; ++i) t[i] += v[j][k] * W[k][i];
+    }
+    for (int i = 0; i < V; ++i) {
+      t[i] *= tau[j];
+      Store(l + j * ld + i * kWidth, old[i] - t[i]);
+    }
+    for (int k = 0; k < K; ++k) {
+      for (int i = 0; i < V; ++i) W[k][i] -= v[j][k] * t[i];
+    }
+  }
+  for (int k = 0; k < K; ++k) {
+    for (int i = 0; i < V; ++i) Store(w + k * ldw + i * kWidth, W[k][i]);
+  }
+}
+
+constexpr int kRankBlock = 8;  // pivots at a time
+
+// [L, W] Q = [L', 0] on the pivot rows, by Householder reflections.
+template <int K>
+void RankUpdateBlock(double* l, long ld, int rows, int pivots, double* w, long ldw) {
+  double v[kRankBlock][K], tau[kRankBlock];
+  for (int j = 0; j < pivots; ++j) {
+    double norm2 = 0;
+    for (int k = 0; k < K; ++k) norm2 += w[j + k * ldw] * w[j + k * ldw];
+    double* column = l + j * ld;
+    const double pivot = column[j];
+    tau[j] = 0;
+    for (int k = 0; k < K; ++k) v[j][k] = 0;
+    // What is far below the rounding of the pivot changes nothing.
+    if (!(norm2 > 1e-40 * pivot * pivot)) continue;
+    const double alpha = __builtin_sqrt(pivot * pivot + norm2);
+    const double v0 = -norm2 / (pivot + alpha);  // pivot - alpha without cancellation
+    tau[j] = 2 * v0 * v0 / (norm2 + v0 * v0);
+    for (int k = 0; k < K; ++k) v[j][k] = w[j + k * ldw] / v0;
+    column[j] = alpha;
+    for (int i = j + 1; i < pivots; ++i) {
+      double t = column[i];
+      for (int k = 0; k < K; ++k) t += v[j][k] * w[i + k * ldw];
+      t *= tau[j];
+      column[i] -= t;
+      for (int k = 0; k < K; ++k) w[i + k * ldw] -= v[j][k] * t;
+    }
+  }
+  int i = pivots;
+  constexpr int kVectors = TERSE_RANK_VECTORS;
+  for (; i + kVectors * kWidth <= rows; i += kVectors * kWidth) {
+    Reflect<K, kVectors>(l + i, ld, w + i, ldw, pivots, v, tau);
+  }
+  for (; i + kWidth <= rows; i += kWidth) Reflect<K, 1>(l + i, ld, w + i, ldw, pivots, v, tau);
+  if (i == rows) return;
+  double rest_l[kRankBlock * kWidth] = {}, rest_w[K * kWidth] = {};
+  const int rest = rows - i;
+  for (int j = 0; j < pivots; ++j) {
+    for (int r = 0; r < rest; ++r) rest_l[j * kWidth + r] = l[j * ld + i + r];
+  }
+  for (int k = 0; k < K; ++k) {
+    for (int r = 0; r < rest; ++r) rest_w[k * kWidth + r] = w[k * ldw + i + r];
+  }
+  Reflect<K, 1>(rest_l, kWidth, rest_w, kWidth, pivots, v, tau);
+  for (int j = 0; j < pivots; ++j) {
+    for (int r = 0; r < rest; ++r) l[j * ld + i + r] = rest_l[j * kWidth + r];
+  }
+  for (int k = 0; k < K; ++k) {
+    for (int r = 0; r < rest; ++r) w[k * ldw + i + r] = rest_w[k * kWidth + r];
+  }
 }
 
 }  // namespace
@@ -122,13 +214,35 @@ int FactorPanel(double* panel, int rows, int pivots) {
       Scale(column + j + 1, 1 / root, rows - j - 1);
     }
     const int next = k + width;
-    SubtractLower(panel + next * ld + next, ld, panel + k * ld + next, ld, rows - next, pivots - next, width);
+    const double* below = panel + k * ld + next;
+    SubtractLower(panel + next * ld + next, ld, below, below, ld, rows - next, pivots - next, width);
   }
   return -1;
 }
 
-void SubtractOuter(double* update, int n, const double* panel, int rows, int pivots) {
-  SubtractLower(update, n, panel + (rows - n), rows, n, n, pivots);
+void SubtractProduct(double* c, int n, const double* a, const double* b, int ld, int depth) {
+  SubtractLower(c, n, a, b, ld, n, n, depth);
+}
+
+void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns) {
+  for (int j = 0; j < pivots; j += kRankBlock) {
+    const int width = pivots - j < kRankBlock ? pivots - j : kRankBlock;
+    double* l = panel + static_cast<long>(j) * ld + j;
+    const auto from = [&](int k) { return w + static_cast<long>(k) * ldw + j; };
+    int k = 0;
+    for (; k + 6 <= columns; k += 6) RankUpdateBlock<6>(l, ld, rows - j, width, from(k), ldw);
+    for (; k + 3 <= columns; k += 3) RankUpdateBlock<3>(l, ld, rows - j, width, from(k), ldw);
+    for (; k < columns; ++k) RankUpdateBlock<1>(l, ld, rows - j, width, from(k), ldw);
+  }
+}
+
+void BackSubstitute(const double* panel, int rows, int pivots, double* x) {
+  const long ld = rows;
+  const int n = rows - 1;
+  for (int j = pivots - 1; j >= 0; --j) {
+    const double* column = panel + j * ld;
+    x[j] = (column[n] - Dot(column + j + 1, x + j + 1, n - j - 1)) / column[j];
+  }
 }
 
 }  // namespace TERSE_KERNEL_NAMESPACE

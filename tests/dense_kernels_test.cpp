@@ -36,7 +36,7 @@ TEST(DenseKernels, EqualDenseCholesky) {
       for (int c = 0; c < p; ++c) panel.col(c).tail(rows - c) = H.col(c).tail(rows - c);
       for (int c = 0; c < n; ++c) update.col(c).tail(n - c) = H.col(p + c).tail(n - c);
       ASSERT_EQ(kernels.factor_panel(panel.data(), rows, p), -1);
-      kernels.subtract_outer(update.data(), n, panel.data(), rows, p);
+      kernels.subtract_product(update.data(), n, panel.data() + p, panel.data() + p, rows, p);
       // Condition below 10, up to 340 rows.
       double error = 0;
       for (int c = 0; c < p; ++c)

@@ -15,10 +15,13 @@
 // Cost of Update: symbolic and numeric work on the affected fronts only. Not thread-safe for writing; const
 // functions may run concurrently. Instantiated for B = 3 and 6.
 
+#include <chrono>
 #include <cstdint>
+#include <optional>
 #include <utility>
 #include <vector>
 
+#include "terse/core/buffer_pool.h"
 #include "terse/core/linear_factor.h"
 
 namespace terse {
@@ -34,16 +37,28 @@ enum class FactorPath {
 template <int B>
 class BlockCholesky {
  public:
+  using Clock = std::chrono::steady_clock;
+
+  // update += W W': a rank-k update that has not been worked into it yet. W has a row per scalar of the first
+  // `separators` separators and one for the right-hand side.
+  struct Correction {
+    int separators = 0, columns = 0;
+    std::vector<double> W;  // column-major
+  };
+
   struct Front {
     int parent = -1;
     std::vector<int> pivots, separators;  // variables in elimination order
     std::vector<int> children;
-    std::vector<int> slots;      // linear factors assembled here
-    std::vector<double> panel;   // (p + s + 1) x p, column-major, p = B |P|, s = B |S|
-    std::vector<double> update;  // (s + 1) x (s + 1), column-major, lower triangle
-    double subtree_log_det = 0;  // sum of 2 ln L_kk over the front and its descendants
-    double subtree_y2 = 0;       // sum of |y|^2 likewise
-    bool fresh = true;           // refactored since the last Solve
+    std::vector<int> slots;     // linear factors assembled here
+    std::vector<double> panel;  // (p + s + 1) x p, column-major, p = B |P|, s = B |S|; may be longer
+    // (u + 1) x (u + 1), column-major, lower triangle, u = B update_separators: the first of S; may be longer.
+    std::vector<double> update;
+    int update_separators = 0;
+    std::vector<Correction> corrections;
+    double log_det = 0;  // sum of 2 ln L_kk
+    double y2 = 0;       // sum of |y|^2
+    bool fresh = true;   // changed since the last Solve
     int Rows() const { return B * static_cast<int>(pivots.size() + separators.size()) + 1; }
     int Columns() const { return B * static_cast<int>(pivots.size()); }
   };
@@ -66,19 +81,29 @@ class BlockCholesky {
     double seconds_order = 0;       // of the symbolic part
   };
 
+  // The cheapest way to bring the paths up to date, by flops; the others are for tests and benchmarks.
+  enum class Method { kCheapest, kRefactor, kRankUpdateWherePossible };
+  void SetMethod(Method method) { method_ = method; }
+
   // If the changed matrix is not positive definite (to rounding), or a right-hand side is not finite, nothing is
   // changed and ok is false. Throws std::invalid_argument for changes that contradict each other or the graph.
-  [[nodiscard]] UpdateReport Update(Changes changes);
+  [[nodiscard]] UpdateReport Update(const Changes& changes);
 
   // New values for all factors on the present structure: numeric work only. damping (B * Variables() scalars
   // or empty) is added to the diagonal. If false, the factor is unusable until a Refactor succeeds.
   void SetFactor(int slot, const LinearFactor<B>& factor);
   [[nodiscard]] bool Refactor(const std::vector<double>& damping = {});
 
-  // Back-substitution L' d = y from the roots. A subtree is skipped where no front was refactored and no separator
+  // Back-substitution L' d = y from the roots. A subtree is skipped where no front changed and no separator
   // moved by more than `threshold` (per scalar, in the unit of the scalar); values that would move less keep their old
-  // value. 0 is exact. Returns the variables whose d changed.
-  std::vector<int> Solve(double threshold = 0);
+  // value. 0 is exact. Returns the variables whose d changed. When the deadline has passed, the subtrees not yet
+  // visited wait for the next Solve; where most moved above comes first.
+  std::vector<int> Solve(double threshold = 0, std::optional<Clock::time_point> deadline = std::nullopt);
+  struct SolveReport {
+    double flops = 0;  // twice the entries visited
+    int deferred = 0;  // subtrees that wait
+  };
+  const SolveReport& LastSolve() const { return last_solve_; }
   // d, B scalars per variable, as of the last Solve.
   const std::vector<double>& Solution() const { return solution_; }
   // Sets d of one variable, until a Solve visits it.
@@ -87,8 +112,8 @@ class BlockCholesky {
   void ClearSolution(int variable) { SetSolution(variable, Vector<B>::Zero()); }
 
   int Variables() const { return static_cast<int>(front_of_.size()); }
-  double LogDeterminant() const;   // ln det H
-  double NewtonDecrement() const;  // |y|^2 = b' H^-1 b: the predicted decrease of chi2
+  double LogDeterminant() const { return static_cast<double>(log_det_); }  // ln det H
+  double NewtonDecrement() const { return static_cast<double>(y2_); }     // |y|^2 = b' H^-1 b: the predicted decrease of chi2
   // b = -A'r at the linearisation point, minus half the gradient of chi2; B scalars per variable.
   std::vector<double> Gradient() const;
   // diag(H).
@@ -106,37 +131,69 @@ class BlockCholesky {
   std::uint64_t Version() const { return version_; }
 
  private:
+  // What a factor adds to H and b.
+  struct Normal {
+    Matrix<B, B> H_first, H_second, H_cross;  // H_cross: second's rows, first's columns
+    Vector<B> b_first, b_second;
+  };
   struct Undo;
   struct Region;
+  struct RankPath;
+  struct Changed;
   void CheckChanges(const Changes& changes) const;
-  void AffectedFronts(const Changes& changes, std::vector<int>& affected);
-  void CollectCliques(int old_variables, Region& region);
-  std::vector<Front> MakeFronts(const Region& region) const;
-  void Replace(const std::vector<int>& affected, std::vector<Front>& pending, std::vector<int>& id_of) noexcept;
-  int FactorPending(std::vector<Front>& pending, UpdateReport& report);
-  double DiagonalEntry(int variable, int scalar) const;
-  void ApplyFactors(Changes& changes, std::vector<int>& added_slots, Undo& undo);
+  void SetSlot(int slot, const LinearFactor<B>& factor);
+  void ApplyFactors(const Changes& changes, std::vector<int>& added_slots, Undo& undo);
   void RevertFactors(const Undo& undo);
   void Attach(int slot);
   void Detach(int slot);
+  // block_cholesky_region.cpp: the touched part of the tree and its new elimination.
+  void AffectedFronts(const Undo& undo, std::vector<int>& affected);
+  void CollectCliques(int old_variables, Region& region);
+  std::vector<Front> MakeFronts(const Region& region) const;
+  int FactorPending(std::vector<Front>& pending, UpdateReport& report);
+  void Replace(const std::vector<int>& affected, std::vector<Front>& pending, std::vector<int>& id_of) noexcept;
+  int RefactorRegion(int old_variables, const Undo& undo, Region& region, UpdateReport& report);
+  // block_cholesky_rank.cpp: the ways without refactoring.
+  bool PlanAppend(const Changes& changes, int old_variables, const std::vector<int>& added_slots) const;
+  int Append(int old_variables, UpdateReport& report);
+  bool PlanRankUpdate(const Changes& changes, int old_variables, const std::vector<int>& affected,
+                      const std::vector<int>& added_slots, RankPath& path);
+  bool IsCheaper(const RankPath& path) const;
+  int RankUpdateFront(Changed& changed, const std::vector<const Front*>& below, int old_variables,
+                      UpdateReport& report);
+  int RankUpdate(const RankPath& path, int old_variables, UpdateReport& report);
+  // block_cholesky_front.cpp: the numbers of one front.
   int FactorFront(Front& front, const std::vector<Front>& pending, const std::vector<double>& damping);
-  void AssembleFactor(Front& front, const LinearFactor<B>& factor);
+  void AssembleFactor(Front& front, int slot);
   void AssembleChild(Front& front, const Front& child);
+  void WorkInCorrections(Front& front);
+  int SumPivots(Front& front, int first_column) const;
+  double DiagonalEntry(int variable, int scalar) const;
   std::vector<int> TopDown() const;
 
   std::vector<LinearFactor<B>> factors_;  // by slot; first is -1 for a free slot
+  std::vector<Normal> normals_;           // by slot
   std::vector<int> free_slots_;
   std::vector<std::vector<int>> slots_of_;  // by variable
   std::vector<Front> fronts_;
   std::vector<int> free_fronts_;
   std::vector<int> front_of_;  // by variable
   std::vector<int> roots_;
+  std::vector<int> waiting_;  // fresh fronts below one that may not be, parents before children
+  // Sums over all fronts. They go up and down with every change: extended precision keeps them true.
+  long double log_det_ = 0, y2_ = 0;
   std::vector<double> solution_;
+  SolveReport last_solve_;
+  Method method_ = Method::kCheapest;
   // Scratch that stays allocated, so that an update costs nothing for what it does not touch.
   std::vector<int> row_of_;        // by variable: first row in the front at hand
   std::vector<int> local_;         // by variable: index in the region at hand, else -1
   std::vector<char> is_affected_;  // by front
-  std::vector<char> moved_;        // by variable
+  std::vector<double> moved_;      // by variable: largest change in the Solve at hand
+  std::vector<int> position_;      // by front: in the path at hand
+  std::vector<std::uint64_t> stamp_of_;  // by variable: the last front that it was seen in
+  std::uint64_t stamp_ = 0;
+  internal::BufferPool pool_;
   std::uint64_t version_ = 0;
 };
 

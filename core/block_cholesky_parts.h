@@ -1,0 +1,47 @@
+#pragma once
+// What the parts of BlockCholesky::Update share.
+
+#include <algorithm>
+
+#include "elimination.h"
+#include "terse/core/block_cholesky.h"
+
+namespace terse {
+
+namespace internal {
+
+// Room for `more` elements, growing geometrically as push_back would.
+template <class T>
+void ReserveMore(std::vector<T>& v, std::size_t more) {
+  if (v.size() + more > v.capacity()) v.reserve(std::max(v.size() + more, 2 * v.capacity()));
+}
+
+}  // namespace internal
+
+// What ApplyFactors did, so that a failed update can be taken back.
+template <int B>
+struct BlockCholesky<B>::Undo {
+  int variables = 0;
+  std::vector<int> added;
+  std::vector<std::pair<int, LinearFactor<B>>> replaced, removed;
+};
+
+// The touched part of the tree: what is eliminated again, and what that hangs together by.
+template <int B>
+struct BlockCholesky<B>::Region {
+  std::vector<int> fronts;     // the touched variables' and all their ancestors
+  std::vector<int> variables;  // their pivots and the new variables
+  internal::Cliques cliques;   // in indices of `variables`
+  // A clique's origin: a factor, or the separator of a subtree that stays; the other is -1.
+  std::vector<int> slot, orphan;
+  std::vector<char> order_last;
+};
+
+// A rank-k update: the fronts it goes through, and where its factors join it.
+template <int B>
+struct BlockCholesky<B>::RankPath {
+  std::vector<int> fronts;                  // children before parents
+  std::vector<std::pair<int, int>> starts;  // (position in `fronts`, slot), ascending
+};
+
+}  // namespace terse

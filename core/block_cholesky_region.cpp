@@ -1,0 +1,207 @@
+// The touched part of the tree, ordered and factored again.
+
+#include <algorithm>
+#include <cmath>
+
+#include "block_cholesky_parts.h"
+#include "stopwatch.h"
+
+namespace terse {
+namespace {
+
+using std::size_t;
+constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+// Sum of the squared column counts.
+double FactorFlops(double rows, double pivots) {
+  double flops = 0;
+  for (double c = 0; c < pivots; ++c) flops += (rows - c) * (rows - c);
+  return flops;
+}
+
+}  // namespace
+
+// Fronts of the touched variables and their ancestors. Marks them.
+template <int B>
+void BlockCholesky<B>::AffectedFronts(const Undo& undo, std::vector<int>& affected) {
+  is_affected_.resize(fronts_.size(), 0);
+  const auto touch = [&](int variable) {
+    if (variable < 0) return;
+    for (int f = front_of_[At(variable)]; f >= 0 && is_affected_[At(f)] == 0; f = fronts_[At(f)].parent) {
+      affected.push_back(f);
+      is_affected_[At(f)] = 1;
+    }
+  };
+  const auto touch_factor = [&](const LinearFactor<B>& factor) {
+    touch(factor.first);
+    touch(factor.second);
+  };
+  for (const int slot : undo.added) touch_factor(factors_[At(slot)]);
+  for (const auto& change : undo.replaced) touch_factor(change.second);
+  for (const auto& change : undo.removed) touch_factor(change.second);
+}
+
+// Variables, factors and orphaned separators of the affected fronts and the new variables. Fills local_.
+template <int B>
+void BlockCholesky<B>::CollectCliques(int old_variables, Region& region) {
+  local_.resize(front_of_.size(), -1);
+  const auto take = [&](int v) {
+    local_[At(v)] = static_cast<int>(region.variables.size());
+    region.variables.push_back(v);
+  };
+  for (const int f : region.fronts) {
+    for (const int v : fronts_[At(f)].pivots) take(v);
+  }
+  for (int v = old_variables; v < Variables(); ++v) take(v);
+  const auto close = [&](int slot, int orphan) {
+    region.cliques.Close();
+    region.slot.push_back(slot);
+    region.orphan.push_back(orphan);
+  };
+  for (const int v : region.variables) {
+    for (const int slot : slots_of_[At(v)]) {
+      const LinearFactor<B>& f = factors_[At(slot)];
+      // A factor that reaches below belongs to a front that stays; one between two affected is taken once.
+      if (f.first != v || (f.second >= 0 && local_[At(f.second)] < 0)) continue;
+      region.cliques.members.push_back(local_[At(v)]);
+      if (f.second >= 0) region.cliques.members.push_back(local_[At(f.second)]);
+      close(slot, -1);
+    }
+  }
+  for (const int f : region.fronts) {
+    for (const int child : fronts_[At(f)].children) {
+      if (is_affected_[At(child)] != 0) continue;
+      for (const int v : fronts_[At(child)].separators) region.cliques.members.push_back(local_[At(v)]);
+      close(-1, child);
+    }
+  }
+}
+
+// New fronts, children before parents. Parents are indices into the result, and so are children -1 - k; children
+// that are not negative are fronts that stay.
+template <int B>
+std::vector<typename BlockCholesky<B>::Front> BlockCholesky<B>::MakeFronts(const Region& region) const {
+  const auto symbolic =
+      internal::Eliminate(static_cast<int>(region.variables.size()), region.cliques, region.order_last);
+  std::vector<Front> pending(symbolic.size());
+  for (size_t k = 0; k < symbolic.size(); ++k) {
+    Front& front = pending[k];
+    front.parent = symbolic[k].parent;
+    for (const int l : symbolic[k].pivots) front.pivots.push_back(region.variables[At(l)]);
+    for (const int l : symbolic[k].separators) front.separators.push_back(region.variables[At(l)]);
+    for (const int c : symbolic[k].cliques) {
+      if (region.slot[At(c)] >= 0) {
+        front.slots.push_back(region.slot[At(c)]);
+      } else {
+        front.children.push_back(region.orphan[At(c)]);
+      }
+    }
+    if (front.parent >= 0) pending[At(front.parent)].children.push_back(-1 - static_cast<int>(k));
+  }
+  return pending;
+}
+
+// Returns the variable at which the new fronts turn out not to be positive definite, or -1.
+template <int B>
+int BlockCholesky<B>::FactorPending(std::vector<Front>& pending, UpdateReport& report) {
+  for (Front& front : pending) {
+    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
+    front.panel = pool_.Take(rows * At(front.Columns()));
+    front.update = pool_.Take(n * n);
+    const int failed = FactorFront(front, pending, {});
+    if (failed >= 0) return failed;
+    report.flops += FactorFlops(front.Rows(), front.Columns());
+  }
+  return -1;
+}
+
+// The pending fronts take the place of the affected ones. All memory was reserved before.
+template <int B>
+void BlockCholesky<B>::Replace(const std::vector<int>& affected, std::vector<Front>& pending,
+                               std::vector<int>& id_of) noexcept {
+  const auto gone = [&](int f) { return is_affected_[At(f)] != 0; };
+  roots_.erase(std::remove_if(roots_.begin(), roots_.end(), gone), roots_.end());
+  for (const int f : affected) {
+    Front& front = fronts_[At(f)];
+    log_det_ -= front.log_det;
+    y2_ -= front.y2;
+    pool_.Give(std::move(front.panel));
+    pool_.Give(std::move(front.update));
+    front = Front();
+    free_fronts_.push_back(f);
+  }
+  for (int& id : id_of) {
+    if (free_fronts_.empty()) {
+      id = static_cast<int>(fronts_.size());
+      fronts_.emplace_back();
+    } else {
+      id = free_fronts_.back();
+      free_fronts_.pop_back();
+    }
+  }
+  for (size_t k = 0; k < pending.size(); ++k) {
+    Front& front = fronts_[At(id_of[k])] = std::move(pending[k]);
+    log_det_ += front.log_det;
+    y2_ += front.y2;
+    front.parent = front.parent >= 0 ? id_of[At(front.parent)] : -1;
+    if (front.parent < 0) roots_.push_back(id_of[k]);
+    for (const int v : front.pivots) front_of_[At(v)] = id_of[k];
+    for (int& child : front.children) {
+      if (child < 0) child = id_of[At(-1 - child)];
+      fronts_[At(child)].parent = id_of[k];
+    }
+  }
+}
+
+// Returns the variable at which the matrix turns out not to be positive definite, or -1.
+template <int B>
+int BlockCholesky<B>::RefactorRegion(int old_variables, const Undo& undo, Region& region, UpdateReport& report) {
+  std::vector<Front> pending;
+  {
+    internal::ScopedTimer timer(report.seconds_order);
+    CollectCliques(old_variables, region);
+    region.order_last.assign(region.variables.size(), 0);
+    const auto last = [&](int v) {
+      if (v >= 0 && local_[At(v)] >= 0) region.order_last[At(local_[At(v)])] = 1;
+    };
+    if (!region.fronts.empty()) {  // where everything is new, nothing is newest
+      for (const int slot : undo.added) {
+        last(factors_[At(slot)].first);
+        last(factors_[At(slot)].second);
+      }
+      last(Variables() - 1);
+    }
+    pending = MakeFronts(region);
+  }
+  for (const int child : region.orphan) {
+    if (child >= 0) WorkInCorrections(fronts_[At(child)]);
+  }
+  const int failed = FactorPending(pending, report);
+  if (failed >= 0) return failed;
+  std::vector<int> id_of(pending.size());
+  internal::ReserveMore(roots_, pending.size());
+  internal::ReserveMore(free_fronts_, region.fronts.size());
+  internal::ReserveMore(fronts_, pending.size());
+  for (const int f : region.fronts) {
+    pool_.MakeRoom(fronts_[At(f)].panel.size());
+    pool_.MakeRoom(fronts_[At(f)].update.size());
+  }
+  report.fronts = static_cast<int>(pending.size());
+  report.variables = static_cast<int>(region.variables.size());
+  report.path = FactorPath::kRefactored;
+  Replace(region.fronts, pending, id_of);
+  return -1;
+}
+
+#define TERSE_INSTANTIATE(B)                                                                                \
+  template void BlockCholesky<B>::AffectedFronts(const Undo&, std::vector<int>&);                           \
+  template void BlockCholesky<B>::CollectCliques(int, Region&);                                             \
+  template std::vector<BlockCholesky<B>::Front> BlockCholesky<B>::MakeFronts(const Region&) const;          \
+  template int BlockCholesky<B>::FactorPending(std::vector<Front>&, UpdateReport&);                         \
+  template void BlockCholesky<B>::Replace(const std::vector<int>&, std::vector<Front>&, std::vector<int>&); \
+  template int BlockCholesky<B>::RefactorRegion(int, const Undo&, Region&, UpdateReport&);
+TERSE_INSTANTIATE(3)
+TERSE_INSTANTIATE(6)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse
