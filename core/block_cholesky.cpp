@@ -20,6 +20,8 @@ void BlockCholesky<B>::SetFactor(int slot, const LinearFactor<B>& factor) {
   if (old.first != factor.first || old.second != factor.second)
     throw std::invalid_argument("a factor may not change its variables");
   SetSlot(slot, factor);
+  RecountDiagonal(factor.first);
+  RecountDiagonal(factor.second);
 }
 
 template <int B>
@@ -58,7 +60,7 @@ std::vector<int> BlockCholesky<B>::Solve(double threshold, std::optional<Clock::
   moved_.resize(front_of_.size(), 0.0);
   last_solve_ = {};
   std::vector<int> changed;
-  using Entry = std::pair<double, int>;  // largest change among the separators, front
+  using Entry = std::pair<double, int>;  // what moved most among the separators, front
   std::vector<Entry> stack;
   for (auto it = waiting_.rbegin(); it != waiting_.rend(); ++it) stack.emplace_back(0.0, *it);
   for (const int f : roots_) stack.emplace_back(0.0, f);
@@ -86,7 +88,7 @@ std::vector<int> BlockCholesky<B>::Solve(double threshold, std::optional<Clock::
       const int v = front.pivots[k];
       Eigen::Map<Vector<B>> old(solution_.data() + At(v) * B);
       const Eigen::Map<const Vector<B>> value(x.data() + k * B);
-      const double change = (value - old).cwiseAbs().maxCoeff();
+      const double change = (value - old).cwiseAbs2().dot(diagonal_[At(v)]);
       if (change <= threshold) continue;
       old = value;
       moved_[At(v)] = change;
@@ -128,15 +130,9 @@ std::vector<double> BlockCholesky<B>::Gradient() const {
 
 template <int B>
 std::vector<double> BlockCholesky<B>::Diagonal() const {
-  std::vector<double> d(front_of_.size() * B, 0.0);
-  const auto add = [&](int v, const Matrix<B, B>& A) {
-    Eigen::Map<Vector<B>>(d.data() + At(v) * B) += A.colwise().squaredNorm().transpose();
-  };
-  for (const auto& f : factors_) {
-    if (f.first < 0) continue;
-    add(f.first, f.A_first);
-    if (f.second >= 0) add(f.second, f.A_second);
-  }
+  std::vector<double> d;
+  d.reserve(diagonal_.size() * B);
+  for (const Vector<B>& v : diagonal_) d.insert(d.end(), v.data(), v.data() + B);
   return d;
 }
 

@@ -78,24 +78,13 @@ int BlockCholesky<B>::SumPivots(Front& front, int first_column) const {
     const double* column = front.panel.data() + At(c) * At(rows);
     const double pivot = column[c], y = column[rows - 1];
     // What is left of a direction that nothing measures is rounding of what was assembled.
-    if (c >= first_column && !(pivot * pivot > kSingular * DiagonalEntry(front.pivots[At(c / B)], c % B))) {
+    if (c >= first_column && !(pivot * pivot > kSingular * diagonal_[At(front.pivots[At(c / B)])][c % B])) {
       return front.pivots[At(c / B)];
     }
     front.log_det += 2 * std::log(pivot);
     front.y2 += y * y;
   }
   return std::isfinite(front.y2) ? -1 : front.pivots.front();
-}
-
-// Of H, without damping.
-template <int B>
-double BlockCholesky<B>::DiagonalEntry(int variable, int scalar) const {
-  double sum = 0;
-  for (const int slot : slots_of_[At(variable)]) {
-    const Normal& f = normals_[At(slot)];
-    sum += factors_[At(slot)].first == variable ? f.H_first(scalar, scalar) : f.H_second(scalar, scalar);
-  }
-  return sum;
 }
 
 template <int B>
@@ -190,7 +179,6 @@ void BlockCholesky<B>::WorkInCorrections(Front& front) {
 #define TERSE_INSTANTIATE(B)                                                                                 \
   template int BlockCholesky<B>::FactorFront(Front&, const std::vector<Front>&, const std::vector<double>&); \
   template int BlockCholesky<B>::SumPivots(Front&, int) const;                                               \
-  template double BlockCholesky<B>::DiagonalEntry(int, int) const;                                           \
   template void BlockCholesky<B>::AssembleFactor(Front&, int);                                               \
   template void BlockCholesky<B>::AssembleChild(Front&, const Front&);                                       \
   template void BlockCholesky<B>::WorkInCorrections(Front&);

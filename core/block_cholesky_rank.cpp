@@ -79,6 +79,8 @@ int BlockCholesky<B>::Append(int old_variables, UpdateReport& report) {
     }
     const int up = front.separators.front();
     parents.push_back(up < old_variables ? front_of_[At(up)] : -1 - (up - old_variables));
+    front.ordered_rows = front.Rows();
+    front.ordered_columns = front.Columns();
     front.panel.resize(At(front.Rows()) * B);
     front.update.resize((B + 1) * (B + 1));
     const int failed = FactorFront(front, {}, {});
@@ -166,20 +168,25 @@ bool BlockCholesky<B>::PlanRankUpdate(const Changes& changes, int old_variables,
   return method_ == Method::kRankUpdateWherePossible || IsCheaper(path);
 }
 
+// Without ordering the path fills up. What that has cost so far counts against the next update, so that it never costs
+// more than an ordering would have.
 template <int B>
-bool BlockCholesky<B>::IsCheaper(const RankPath& path) const {
-  double update = 0, refactor = 0;
+bool BlockCholesky<B>::IsCheaper(const RankPath& path) {
+  double update = 0, excess = 0, refactor = 0;
   std::vector<int> columns(path.fronts.size(), 0);
   for (const auto& start : path.starts) columns[At(start.first)] += B;
   for (size_t k = 0; k < path.fronts.size(); ++k) {
     const Front& front = fronts_[At(path.fronts[k])];
     const double rows = front.Rows(), p = front.Columns(), s = rows - p;
     update += kRankFlop * columns[k] * (4 * Entries(rows, p) + s * s) + kFront;
+    excess += kRankFlop * 4 * columns[k] * (Entries(rows, p) - Entries(front.ordered_rows, front.ordered_columns));
     refactor += (std::pow(rows, 3) - std::pow(s, 3)) / 3 + kAssembledEntry * rows * rows + kFront +
                 kVariable * static_cast<double>(front.pivots.size());
     if (front.parent >= 0) columns[At(position_[At(front.parent)])] += columns[k];
   }
-  return update < refactor;
+  if (update + debt_ > refactor) return false;
+  debt_ += excess;
+  return true;
 }
 
 // One front of the path. `below` are the changed children, `slots` the factors that start here.
@@ -326,7 +333,7 @@ int BlockCholesky<B>::RankUpdate(const RankPath& path, int old_variables, Update
   template int BlockCholesky<B>::Append(int, UpdateReport&);                                                  \
   template bool BlockCholesky<B>::PlanRankUpdate(const Changes&, int, const std::vector<int>&,                \
                                                  const std::vector<int>&, RankPath&);                         \
-  template bool BlockCholesky<B>::IsCheaper(const RankPath&) const;                                           \
+  template bool BlockCholesky<B>::IsCheaper(const RankPath&);                                                 \
   template int BlockCholesky<B>::RankUpdateFront(Changed&, const std::vector<const Front*>&, int, UpdateReport&); \
   template int BlockCholesky<B>::RankUpdate(const RankPath&, int, UpdateReport&);
 TERSE_INSTANTIATE(3)

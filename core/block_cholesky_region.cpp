@@ -89,6 +89,8 @@ std::vector<typename BlockCholesky<B>::Front> BlockCholesky<B>::MakeFronts(const
     front.parent = symbolic[k].parent;
     for (const int l : symbolic[k].pivots) front.pivots.push_back(region.variables[At(l)]);
     for (const int l : symbolic[k].separators) front.separators.push_back(region.variables[At(l)]);
+    front.ordered_rows = front.Rows();
+    front.ordered_columns = front.Columns();
     for (const int c : symbolic[k].cliques) {
       if (region.slot[At(c)] >= 0) {
         front.slots.push_back(region.slot[At(c)]);
@@ -190,6 +192,7 @@ int BlockCholesky<B>::RefactorRegion(int old_variables, const Undo& undo, Region
   report.variables = static_cast<int>(region.variables.size());
   report.path = FactorPath::kRefactored;
   Replace(region.fronts, pending, id_of);
+  debt_ = 0;
   return -1;
 }
 

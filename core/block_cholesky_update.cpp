@@ -50,6 +50,30 @@ void BlockCholesky<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
   n.b_second.noalias() = -(factor.A_second.transpose() * factor.residual);
 }
 
+// From its factors, so that nothing is left of what has gone.
+template <int B>
+void BlockCholesky<B>::RecountDiagonal(int variable) {
+  if (variable < 0 || variable >= Variables()) return;
+  Vector<B>& sum = diagonal_[At(variable)];
+  sum.setZero();
+  for (const int slot : slots_of_[At(variable)]) {
+    const Normal& n = normals_[At(slot)];
+    sum += (factors_[At(slot)].first == variable ? n.H_first : n.H_second).diagonal();
+  }
+}
+
+// Of the touched variables.
+template <int B>
+void BlockCholesky<B>::RecountDiagonals(const Undo& undo) {
+  const auto recount = [&](const LinearFactor<B>& f) {
+    RecountDiagonal(f.first);
+    RecountDiagonal(f.second);
+  };
+  for (const int slot : undo.added) recount(factors_[At(slot)]);
+  for (const auto& change : undo.replaced) recount(change.second);
+  for (const auto& change : undo.removed) recount(change.second);
+}
+
 // Leaves `undo` able to take back what was done so far, whatever throws.
 template <int B>
 void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& added_slots, Undo& undo) {
@@ -63,6 +87,7 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
   const size_t total = front_of_.size() + At(changes.new_variables);
   slots_of_.resize(total);
   row_of_.resize(total, -1);
+  diagonal_.resize(total, Vector<B>::Zero());
   solution_.resize(total * B, 0.0);
   front_of_.resize(total, -1);
   for (const int slot : changes.removed) {
@@ -88,24 +113,27 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
     added_slots.push_back(slot);
     Attach(slot);
   }
+  RecountDiagonals(undo);
 }
 
 template <int B>
 void BlockCholesky<B>::RevertFactors(const Undo& undo) {
-  for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) {
-    Detach(*it);
-    factors_[At(*it)].first = -1;
-    free_slots_.push_back(*it);
-  }
+  for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) Detach(*it);
   for (const auto& [slot, factor] : undo.replaced) SetSlot(slot, factor);
   for (const auto& [slot, factor] : undo.removed) {
     SetSlot(slot, factor);
     Attach(slot);  // into lists that had room for it
   }
+  RecountDiagonals(undo);
+  for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) {
+    factors_[At(*it)].first = -1;
+    free_slots_.push_back(*it);
+  }
   const size_t total = At(undo.variables);
   front_of_.resize(total);
   slots_of_.resize(total);
   row_of_.resize(total);
+  diagonal_.resize(total);
   solution_.resize(total * B);
 }
 
@@ -179,6 +207,8 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
 #define TERSE_INSTANTIATE(B)                                                                \
   template void BlockCholesky<B>::CheckChanges(const Changes&) const;                       \
   template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                     \
+  template void BlockCholesky<B>::RecountDiagonal(int);                                     \
+  template void BlockCholesky<B>::RecountDiagonals(const Undo&);                            \
   template void BlockCholesky<B>::ApplyFactors(const Changes&, std::vector<int>&, Undo&);   \
   template void BlockCholesky<B>::RevertFactors(const Undo&);                               \
   template void BlockCholesky<B>::Attach(int);                                              \

@@ -72,6 +72,11 @@ double IncrementalSolver<Pose>::RemainingDecrease() const {
 }
 
 template <class Pose>
+double IncrementalSolver<Pose>::DegreesOfFreedom() const {
+  return std::max(1.0, static_cast<double>(measured_scalars_ - B * factor_.Variables()));
+}
+
+template <class Pose>
 bool IncrementalSolver<Pose>::ClosesLoop(const GraphUpdate<Pose>& update) const {
   const int old = factor_.Variables() - static_cast<int>(update.poses.size());
   for (const auto& factor : update.factors) {
@@ -98,9 +103,9 @@ void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>& update, const 
   switch (options_.gate) {
     case Gate::kNewtonDecrement: {
       double unit = 1;
-      if (options_.decrease_scale == DecreaseScale::kChi2) unit = std::max(LinearMinimum(), 1e-12);
+      if (options_.decrease_scale == DecreaseScale::kChi2) unit = CostUnit();
       if (options_.decrease_scale == DecreaseScale::kDof) {
-        unit = std::max(1.0, static_cast<double>(measured_scalars_ - B * factor_.Variables()));
+        unit = DegreesOfFreedom();
       }
       report.gate_value = remaining / unit;
       break;
@@ -167,6 +172,7 @@ void IncrementalSolver<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
   template void IncrementalSolver<Pose>::ChangeCosts(const LinearFactor<B>&, int);                            \
   template void IncrementalSolver<Pose>::RecountCosts();                                                      \
   template double IncrementalSolver<Pose>::RemainingDecrease() const;                                         \
+  template double IncrementalSolver<Pose>::DegreesOfFreedom() const;                                          \
   template void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>&, const Plan&, const GateValues&, \
                                                     StepReport&);                                             \
   template void IncrementalSolver<Pose>::PlaceNewPoses(int, StepReport&);

@@ -18,19 +18,83 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 // Relinearised factors may cost this many times as much as before (curved valleys climb a little) before the
 // points go only part of the way, at least this share of it.
 constexpr double kClimb = 4, kLeastShare = 0.05;
-// A d this many times its tolerance does not wait for the interval.
-constexpr double kUrgent = 30;
+// A step that lowers chi2 by this share may move the map so far that relinearisation does not wait for the interval;
+// it does not if the linearisation errors are this many times what is tolerated.
+constexpr double kUrgent = 1e-3, kUrgentError = 10;
 
 }  // namespace
 
 template <class Pose>
-bool IncrementalSolver<Pose>::ExceedsTolerance(int variable, double times) const {
-  const double* d = factor_.Solution().data() + At(variable) * B;
-  double metres2 = 0, radians2 = 0;
-  for (int k = 0; k < Pose::kDim; ++k) metres2 += d[k] * d[k];
-  for (int k = Pose::kDim; k < B; ++k) radians2 += d[k] * d[k];
-  return metres2 > std::pow(times * options_.relinearize_metres, 2) ||
-         radians2 > std::pow(times * options_.relinearize_radians, 2);
+bool IncrementalSolver<Pose>::IsOutgrown(int variable) const {
+  const Eigen::Map<const Vector<B>> d(factor_.Solution().data() + At(variable) * B);
+  return d.template head<Pose::kDim>().norm() > options_.relinearize_metres ||
+         d.template tail<B - Pose::kDim>().norm() > options_.relinearize_radians;
+}
+
+// How far the linearised factor is from the true one, in units of chi2.
+template <class Pose>
+double IncrementalSolver<Pose>::LinearizationError(int slot) const {
+  const LinearFactor<B>& f = factor_.FactorAt(slot);
+  const FactorId id = factor_of_slot_[At(slot)];
+  if (f.first < 0 || id.value < 0) return 0;
+  Vector<B> linear = f.residual;
+  linear += f.A_first * Eigen::Map<const Vector<B>>(factor_.Solution().data() + At(f.first) * B);
+  if (f.second >= 0) {
+    linear += f.A_second * Eigen::Map<const Vector<B>>(factor_.Solution().data() + At(f.second) * B);
+  }
+  const Pose first = EstimateAt(f.first);
+  const Vector<B> actual =
+      WhitenedResidual(graph_.FindFactor(id)->factor, first, f.second >= 0 ? EstimateAt(f.second) : first);
+  return (actual - linear).squaredNorm();
+}
+
+// Of the factors on poses that moved.
+template <class Pose>
+void IncrementalSolver<Pose>::UpdateLinearizationErrors() {
+  std::vector<int> slots;
+  for (const int v : moved_) {
+    is_moved_[At(v)] = 0;
+    if (IsOutgrown(v)) slots.insert(slots.end(), factor_.SlotsOf(v).begin(), factor_.SlotsOf(v).end());
+  }
+  moved_.clear();
+  std::sort(slots.begin(), slots.end());
+  slots.erase(std::unique(slots.begin(), slots.end()), slots.end());
+  error_of_slot_.resize(factor_of_slot_.size(), 0.0);
+  for (const int slot : slots) SetLinearizationError(slot, LinearizationError(slot));
+  suspects_.insert(suspects_.end(), slots.begin(), slots.end());
+  std::sort(suspects_.begin(), suspects_.end());
+  suspects_.erase(std::unique(suspects_.begin(), suspects_.end()), suspects_.end());
+  const double worth = 1e-5 * options_.relinearize_tolerance * CostUnit();
+  const auto is_small = [&](int slot) { return !(error_of_slot_[At(slot)] > worth); };
+  suspects_.erase(std::remove_if(suspects_.begin(), suspects_.end(), is_small), suspects_.end());
+}
+
+template <class Pose>
+void IncrementalSolver<Pose>::SetLinearizationError(int slot, double error) {
+  error_sum_ += error - error_of_slot_[At(slot)];
+  error_of_slot_[At(slot)] = error;
+}
+
+// The poses of the worst factors, so many that what is left is half of what is tolerated.
+template <class Pose>
+std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times) {
+  UpdateLinearizationErrors();
+  const double tolerated = options_.relinearize_tolerance * CostUnit();
+  std::map<int, Pose> points;
+  if (error_sum_ <= times * tolerated) return points;
+  std::vector<int> worst(suspects_);
+  std::stable_sort(worst.begin(), worst.end(),
+                   [&](int a, int b) { return error_of_slot_[At(a)] > error_of_slot_[At(b)]; });
+  double left = error_sum_;
+  for (const int slot : worst) {
+    if (left <= tolerated / 2) break;
+    left -= error_of_slot_[At(slot)];
+    const LinearFactor<B>& f = factor_.FactorAt(slot);
+    for (const int v : {f.first, f.second}) {
+      if (v >= 0 && IsOutgrown(v)) points.emplace(v, EstimateAt(v));
+    }
+  }
+  return points;
 }
 
 template <class Pose>
@@ -79,23 +143,25 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
     linearization_points_[At(v)] = T;
     factor_.ClearSolution(v);
   }
-  for (const int slot : slots) ChangeCosts(factor_.FactorAt(slot), 1);
+  error_of_slot_.resize(factor_of_slot_.size(), 0.0);
+  for (const int slot : slots) {
+    ChangeCosts(factor_.FactorAt(slot), 1);
+    SetLinearizationError(slot, options_.carry == Carry::kOffset ? LinearizationError(slot) : 0);
+  }
   report.variables_relinearised += static_cast<int>(points.size());
   return true;
 }
 
-// Moves the linearisation points of outgrown poses to their estimates. A wrong or far link can throw an estimate to
+// Moves the linearisation points of the poses with the worst factors to their estimates. A wrong or far link can throw an estimate to
 // where the linearisation means nothing; there the points go only part of the way.
 template <class Pose>
-void IncrementalSolver<Pose>::RelinearizeOutgrown(StepReport& report) {
+bool IncrementalSolver<Pose>::RelinearizeWorst(double times, StepReport& report) {
   std::map<int, Pose> points;
-  for (const int v : outgrown_) {
-    if (ExceedsTolerance(v)) points.emplace(v, EstimateAt(v));
-  }
-  if (points.empty()) return;
   Replacements replaced;
   {
     ScopedTimer timer(seconds_.linearise);
+    points = PosesToRelinearize(times);
+    if (points.empty()) return false;
     replaced = LinearizeAround(points);
     double before = static_cast<double>(B * replaced.size());
     for (const auto& change : replaced) before += factor_.FactorAt(change.first).residual.squaredNorm();
@@ -110,35 +176,31 @@ void IncrementalSolver<Pose>::RelinearizeOutgrown(StepReport& report) {
       replaced = LinearizeAround(points);
     }
   }
-  Relinearize(points, std::move(replaced), report);
+  return Relinearize(points, std::move(replaced), report);
 }
 
 template <class Pose>
 void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point, StepReport& report) {
-  const auto urgent = [&](int v) { return ExceedsTolerance(v, kUrgent); };
-  if (updates_ % options_.relinearize_interval == 0 || std::any_of(outgrown_.begin(), outgrown_.end(), urgent)) {
-    RelinearizeOutgrown(report);
-  }
-  BackSubstitute(report);
-  report.iterations = 1;
+  if (updates_ % options_.relinearize_interval == 0) RelinearizeWorst(1, report);
+  do {
+    const double decrease = RemainingDecrease();
+    BackSubstitute(report);
+    ++report.iterations;
+    if (decrease < kUrgent * CostUnit() || report.iterations >= options_.max_iterations) break;
+  } while (RelinearizeWorst(kUrgentError, report));
 }
 
 template <class Pose>
 void IncrementalSolver<Pose>::BackSubstitute(StepReport& report) {
   ScopedTimer timer(seconds_.solve);
-  const std::vector<int> moved = factor_.Solve(options_.propagation_threshold);
+  const std::vector<int> moved = factor_.Solve(options_.propagation_tolerance * CostUnit());
   linear_cost_ = LinearMinimum();
   report.variables_moved += static_cast<int>(moved.size());
   for (const int v : moved) {
-    if (is_outgrown_[At(v)] != 0 || !ExceedsTolerance(v)) continue;
-    is_outgrown_[At(v)] = 1;
-    outgrown_.push_back(v);
+    if (is_moved_[At(v)] != 0) continue;
+    is_moved_[At(v)] = 1;
+    moved_.push_back(v);
   }
-  // Those that shrank again, by themselves or by relinearisation, leave the list.
-  const auto stays = [&](int v) { return ExceedsTolerance(v); };
-  const auto end = std::stable_partition(outgrown_.begin(), outgrown_.end(), stays);
-  for (auto it = end; it != outgrown_.end(); ++it) is_outgrown_[At(*it)] = 0;
-  outgrown_.erase(end, outgrown_.end());
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                   \

@@ -162,6 +162,8 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
   for (const FactorId id : update.removed) {
     measured_scalars_ -= Dimension(graph_.FindFactor(id)->factor);
     graph_.RemoveFactor(id);
+    const size_t slot = At(slot_of_factor_[At(id)]);
+    if (slot < error_of_slot_.size()) error_sum_ -= std::exchange(error_of_slot_[slot], 0.0);
     factor_of_slot_[At(slot_of_factor_[At(id)])] = FactorId();
     slot_of_factor_[At(id)] = -1;
   }
@@ -169,7 +171,7 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     graph_.AddPose(update.poses[k].id, plan.new_values[k]);
     graph_.SetFixed(update.poses[k].id, update.poses[k].fixed);
     linearization_points_.push_back(plan.new_values[k]);
-    is_outgrown_.push_back(0);
+    is_moved_.push_back(0);
   }
   const auto bind = [&](int slot, FactorId id) {
     if (At(slot) >= factor_of_slot_.size()) factor_of_slot_.resize(At(slot) + 1);

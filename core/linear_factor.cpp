@@ -42,6 +42,21 @@ LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int se
   return out;
 }
 
+template <class Pose>
+Vector<Pose::kDof> WhitenedResidual(const Factor<Pose>& factor, const Pose& T_world_first, const Pose& T_world_second) {
+  if (const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
+    const typename Pose::Tangent r = (T_world_first * f->T_from_to).Local(T_world_second);
+    return SquareRoot<Pose::kDof>(f->information) * r;
+  }
+  if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) {
+    return SquareRoot<Pose::kDof>(f->information) * f->T_world_body.Local(T_world_first);
+  }
+  const auto& f = std::get<PositionPriorFactor<Pose>>(factor);
+  Vector<Pose::kDof> out = Vector<Pose::kDof>::Zero();
+  out.template head<Pose::kDim>() = SquareRoot<Pose::kDim>(f.information) * (T_world_first.Translation() - f.p_world);
+  return out;
+}
+
 template <int B>
 LinearFactor<B> Anchor(int variable, const Vector<B>& information) {
   LinearFactor<B> out;
@@ -58,6 +73,7 @@ int Dimension(const Factor<Pose>& factor) {
 #define TERSE_INSTANTIATE(Pose)                                                                               \
   template LinearFactor<Pose::kDof> Linearize<Pose>(const Factor<Pose>&, int, int, const Pose&, const Pose&); \
   template LinearFactor<Pose::kDof> Anchor<Pose::kDof>(int, const Vector<Pose::kDof>&);                       \
+  template Vector<Pose::kDof> WhitenedResidual<Pose>(const Factor<Pose>&, const Pose&, const Pose&);          \
   template int Dimension<Pose>(const Factor<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -19,7 +19,7 @@ TYPED_TEST_SUITE(IncrementalSolverTest, Groups);
 
 IncrementalOptions Exact() {
   IncrementalOptions options;
-  options.propagation_threshold = 0;
+  options.propagation_tolerance = 0;
   return options;
 }
 

@@ -59,6 +59,7 @@ class BlockCholesky {
     double log_det = 0;  // sum of 2 ln L_kk
     double y2 = 0;       // sum of |y|^2
     bool fresh = true;   // changed since the last Solve
+    int ordered_rows = 0, ordered_columns = 0;  // when it was last ordered
     int Rows() const { return B * static_cast<int>(pivots.size() + separators.size()) + 1; }
     int Columns() const { return B * static_cast<int>(pivots.size()); }
   };
@@ -95,8 +96,8 @@ class BlockCholesky {
   [[nodiscard]] bool Refactor(const std::vector<double>& damping = {});
 
   // Back-substitution L' d = y from the roots. A subtree is skipped where no front changed and no separator
-  // moved by more than `threshold` (per scalar, in the unit of the scalar); values that would move less keep their old
-  // value. 0 is exact. Returns the variables whose d changed. When the deadline has passed, the subtrees not yet
+  // moved enough: a variable whose move, all else held, would change the linearised chi2 by no more than `threshold`
+  // keeps its old value. 0 is exact. Returns the variables whose d changed. When the deadline has passed, the subtrees not yet
   // visited wait for the next Solve; where most moved above comes first.
   std::vector<int> Solve(double threshold = 0, std::optional<Clock::time_point> deadline = std::nullopt);
   struct SolveReport {
@@ -146,6 +147,8 @@ class BlockCholesky {
   void RevertFactors(const Undo& undo);
   void Attach(int slot);
   void Detach(int slot);
+  void RecountDiagonal(int variable);
+  void RecountDiagonals(const Undo& undo);
   // block_cholesky_region.cpp: the touched part of the tree and its new elimination.
   void AffectedFronts(const Undo& undo, std::vector<int>& affected);
   void CollectCliques(int old_variables, Region& region);
@@ -158,7 +161,7 @@ class BlockCholesky {
   int Append(int old_variables, UpdateReport& report);
   bool PlanRankUpdate(const Changes& changes, int old_variables, const std::vector<int>& affected,
                       const std::vector<int>& added_slots, RankPath& path);
-  bool IsCheaper(const RankPath& path) const;
+  bool IsCheaper(const RankPath& path);
   int RankUpdateFront(Changed& changed, const std::vector<const Front*>& below, int old_variables,
                       UpdateReport& report);
   int RankUpdate(const RankPath& path, int old_variables, UpdateReport& report);
@@ -168,7 +171,6 @@ class BlockCholesky {
   void AssembleChild(Front& front, const Front& child);
   void WorkInCorrections(Front& front);
   int SumPivots(Front& front, int first_column) const;
-  double DiagonalEntry(int variable, int scalar) const;
   std::vector<int> TopDown() const;
 
   std::vector<LinearFactor<B>> factors_;  // by slot; first is -1 for a free slot
@@ -189,10 +191,12 @@ class BlockCholesky {
   std::vector<int> row_of_;        // by variable: first row in the front at hand
   std::vector<int> local_;         // by variable: index in the region at hand, else -1
   std::vector<char> is_affected_;  // by front
-  std::vector<double> moved_;      // by variable: largest change in the Solve at hand
+  std::vector<Vector<B>> diagonal_;  // of H, by variable
+  std::vector<double> moved_;      // by variable: what its change in the Solve at hand is worth
   std::vector<int> position_;      // by front: in the path at hand
   std::vector<std::uint64_t> stamp_of_;  // by variable: the last front that it was seen in
   std::uint64_t stamp_ = 0;
+  double debt_ = 0;  // flops that rank-k updates took more since the last ordering because nothing was ordered
   internal::BufferPool pool_;
   std::uint64_t version_ = 0;
 };

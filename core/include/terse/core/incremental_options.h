@@ -44,14 +44,18 @@ struct IncrementalOptions {
   double gate_threshold = 1e-5;
   DecreaseScale decrease_scale = DecreaseScale::kChi2;
 
-  // kOffset: a pose is relinearised when its d exceeds either.
-  double relinearize_metres = 0.01;
-  double relinearize_radians = 0.01;
-  // Relinearisation is considered at every n-th step, or at once when a d exceeds 30 times its tolerance: the
-  // steps between touch far less, and the estimate, which includes d, hardly notices.
+  // kOffset: factors are relinearised, those with the largest error first, when their linearisation errors
+  // |r(estimate) - (r + A d)|^2 (whitened) add up to more than this share of chi2, until they add up to half of it.
+  double relinearize_tolerance = 1e-4;
+  // Only poses whose d exceeds either are looked at.
+  double relinearize_metres = 0;
+  double relinearize_radians = 0;
+  // Relinearisation is considered at every n-th step, or at once after a step that was predicted to lower chi2 by
+  // a tenth: the steps between touch far less, and the estimate, which includes d, hardly notices.
   int relinearize_interval = 10;
-  // Back-substitution leaves a subtree alone when no scalar above it moved by more. 0 is exact.
-  double propagation_threshold = 1e-5;
+  // Back-substitution leaves a subtree alone where no pose above it moved by so much that this, all else held, would
+  // change chi2 by more than this share of it. 0 is exact.
+  double propagation_tolerance = 1e-8;
 
   // kPoint: the step tolerance (A's tau_d) and the largest number of Gauss-Newton iterations (A's tau_GN).
   double step_metres = 1e-3;

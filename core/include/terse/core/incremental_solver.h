@@ -90,15 +90,22 @@ class IncrementalSolver {
   void RecountCosts();
   double LinearMinimum() const { return cost_at_points_ - factor_.NewtonDecrement(); }
   double RemainingDecrease() const;
+  double DegreesOfFreedom() const;  // at least one
+  // What changes of chi2 are measured by: chi2 itself. The floor is for measurements that fit to rounding.
+  double CostUnit() const { return std::max(LinearMinimum(), 1e-6 * DegreesOfFreedom()); }
   bool ClosesLoop(const GraphUpdate<Pose>& update) const;
   void DecideGate(const GraphUpdate<Pose>& update, const Plan& plan, const GateValues& before, StepReport& report);
   void PlaceNewPoses(int new_poses, StepReport& report);
   // incremental_offsets.cpp: Carry::kOffset, and relinearisation for both.
-  bool ExceedsTolerance(int variable, double times = 1) const;
+  bool IsOutgrown(int variable) const;
+  double LinearizationError(int slot) const;
+  void UpdateLinearizationErrors();
+  void SetLinearizationError(int slot, double error);
+  std::map<int, Pose> PosesToRelinearize(double times);
   LinearFactor<Pose::kDof> LinearizeSlot(int slot, const PointOf& point) const;
   Replacements LinearizeAround(const std::map<int, Pose>& points) const;
   bool Relinearize(const std::map<int, Pose>& points, Replacements replaced, StepReport& report);
-  void RelinearizeOutgrown(StepReport& report);
+  bool RelinearizeWorst(double times, StepReport& report);
   void OptimizeOffsets(Clock::time_point start, StepReport& report);
   void BackSubstitute(StepReport& report);
   // incremental_points.cpp: Carry::kPoint.
@@ -113,8 +120,11 @@ class IncrementalSolver {
   int anchor_slot_ = -1;
   Vector<B> anchor_information_ = Vector<B>::Zero();
   AbsoluteFactors absolute_;
-  std::vector<int> outgrown_;      // poses whose d was seen to exceed a tolerance
-  std::vector<char> is_outgrown_;  // by pose index
+  std::vector<int> moved_;  // poses that moved since their factors' errors were looked at
+  std::vector<char> is_moved_;            // by pose index
+  std::vector<double> error_of_slot_;     // |r(estimate) - (r + A d)|^2 when last looked at
+  double error_sum_ = 0;
+  std::vector<int> suspects_;             // slots with an error worth looking at
   long updates_ = 0;
   // Of the linearised system: chi2 at the linearisation points, and at the present d.
   double cost_at_points_ = 0, linear_cost_ = 0;

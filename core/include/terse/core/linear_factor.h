@@ -21,6 +21,10 @@ template <class Pose>
 LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int second, const Pose& T_world_first,
                                    const Pose& T_world_second);
 
+// The residual alone, whitened.
+template <class Pose>
+Vector<Pose::kDof> WhitenedResidual(const Factor<Pose>& factor, const Pose& T_world_first, const Pose& T_world_second);
+
 // A proximal anchor: `information` on every tangent direction of `variable`, with zero residual at any value.
 template <int B>
 LinearFactor<B> Anchor(int variable, const Vector<B>& information);
