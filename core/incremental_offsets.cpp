@@ -20,7 +20,7 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 constexpr double kClimb = 4, kLeastShare = 0.05;
 // A step that lowers chi2 by this share may move the map so far that relinearisation does not wait for the interval;
 // it does not if the linearisation errors are this many times what is tolerated.
-constexpr double kUrgent = 1e-3, kUrgentError = 10;
+constexpr double kUrgent = 1e-2, kUrgentError = 10;
 
 }  // namespace
 
@@ -54,23 +54,20 @@ void IncrementalSolver<Pose>::UpdateLinearizationErrors() {
   std::vector<int> slots;
   for (const int v : moved_) {
     is_moved_[At(v)] = 0;
-    if (IsOutgrown(v)) slots.insert(slots.end(), factor_.SlotsOf(v).begin(), factor_.SlotsOf(v).end());
+    for (const int slot : factor_.SlotsOf(v)) {
+      if (std::exchange(is_listed_[At(slot)], 1) == 0) slots.push_back(slot);
+    }
   }
   moved_.clear();
-  std::sort(slots.begin(), slots.end());
-  slots.erase(std::unique(slots.begin(), slots.end()), slots.end());
-  error_of_slot_.resize(factor_of_slot_.size(), 0.0);
-  for (const int slot : slots) SetLinearizationError(slot, LinearizationError(slot));
-  suspects_.insert(suspects_.end(), slots.begin(), slots.end());
-  std::sort(suspects_.begin(), suspects_.end());
-  suspects_.erase(std::unique(suspects_.begin(), suspects_.end()), suspects_.end());
-  const double worth = 1e-5 * options_.relinearize_tolerance * CostUnit();
-  const auto is_small = [&](int slot) { return !(error_of_slot_[At(slot)] > worth); };
-  suspects_.erase(std::remove_if(suspects_.begin(), suspects_.end(), is_small), suspects_.end());
+  for (const int slot : slots) {
+    is_listed_[At(slot)] = 0;
+    SetLinearizationError(slot, LinearizationError(slot));
+  }
 }
 
 template <class Pose>
 void IncrementalSolver<Pose>::SetLinearizationError(int slot, double error) {
+  if (IsSuspicious(error) && std::exchange(is_suspect_[At(slot)], 1) == 0) suspects_.push_back(slot);
   error_sum_ += error - error_of_slot_[At(slot)];
   error_of_slot_[At(slot)] = error;
 }
@@ -82,11 +79,14 @@ std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times) {
   const double tolerated = options_.relinearize_tolerance * CostUnit();
   std::map<int, Pose> points;
   if (error_sum_ <= times * tolerated) return points;
-  std::vector<int> worst(suspects_);
-  std::stable_sort(worst.begin(), worst.end(),
-                   [&](int a, int b) { return error_of_slot_[At(a)] > error_of_slot_[At(b)]; });
+  const auto is_clear = [&](int slot) { return !IsSuspicious(error_of_slot_[At(slot)]); };
+  for (const int slot : suspects_) is_suspect_[At(slot)] = is_clear(slot) ? 0 : 1;
+  suspects_.erase(std::remove_if(suspects_.begin(), suspects_.end(), is_clear), suspects_.end());
+  std::sort(suspects_.begin(), suspects_.end(), [&](int a, int b) {
+    return std::make_pair(-error_of_slot_[At(a)], a) < std::make_pair(-error_of_slot_[At(b)], b);
+  });
   double left = error_sum_;
-  for (const int slot : worst) {
+  for (const int slot : suspects_) {
     if (left <= tolerated / 2) break;
     left -= error_of_slot_[At(slot)];
     const LinearFactor<B>& f = factor_.FactorAt(slot);
@@ -143,7 +143,6 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
     linearization_points_[At(v)] = T;
     factor_.ClearSolution(v);
   }
-  error_of_slot_.resize(factor_of_slot_.size(), 0.0);
   for (const int slot : slots) {
     ChangeCosts(factor_.FactorAt(slot), 1);
     SetLinearizationError(slot, options_.carry == Carry::kOffset ? LinearizationError(slot) : 0);
@@ -197,7 +196,7 @@ void IncrementalSolver<Pose>::BackSubstitute(StepReport& report) {
   linear_cost_ = LinearMinimum();
   report.variables_moved += static_cast<int>(moved.size());
   for (const int v : moved) {
-    if (is_moved_[At(v)] != 0) continue;
+    if (is_moved_[At(v)] != 0 || !IsOutgrown(v)) continue;
     is_moved_[At(v)] = 1;
     moved_.push_back(v);
   }

@@ -162,8 +162,7 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
   for (const FactorId id : update.removed) {
     measured_scalars_ -= Dimension(graph_.FindFactor(id)->factor);
     graph_.RemoveFactor(id);
-    const size_t slot = At(slot_of_factor_[At(id)]);
-    if (slot < error_of_slot_.size()) error_sum_ -= std::exchange(error_of_slot_[slot], 0.0);
+    error_sum_ -= std::exchange(error_of_slot_[At(slot_of_factor_[At(id)])], 0.0);
     factor_of_slot_[At(slot_of_factor_[At(id)])] = FactorId();
     slot_of_factor_[At(id)] = -1;
   }
@@ -174,7 +173,12 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     is_moved_.push_back(0);
   }
   const auto bind = [&](int slot, FactorId id) {
-    if (At(slot) >= factor_of_slot_.size()) factor_of_slot_.resize(At(slot) + 1);
+    if (At(slot) >= factor_of_slot_.size()) {
+      factor_of_slot_.resize(At(slot) + 1);
+      error_of_slot_.resize(At(slot) + 1, 0.0);
+      is_suspect_.resize(At(slot) + 1, 0);
+      is_listed_.resize(At(slot) + 1, 0);
+    }
     factor_of_slot_[At(slot)] = id;
   };
   for (size_t k = 0; k < update.factors.size(); ++k) {

@@ -101,6 +101,8 @@ class IncrementalSolver {
   double LinearizationError(int slot) const;
   void UpdateLinearizationErrors();
   void SetLinearizationError(int slot, double error);
+  // What is far below the tolerance is counted but not looked for.
+  bool IsSuspicious(double error) const { return error > 1e-5 * options_.relinearize_tolerance * CostUnit(); }
   std::map<int, Pose> PosesToRelinearize(double times);
   LinearFactor<Pose::kDof> LinearizeSlot(int slot, const PointOf& point) const;
   Replacements LinearizeAround(const std::map<int, Pose>& points) const;
@@ -125,6 +127,7 @@ class IncrementalSolver {
   std::vector<double> error_of_slot_;     // |r(estimate) - (r + A d)|^2 when last looked at
   double error_sum_ = 0;
   std::vector<int> suspects_;             // slots with an error worth looking at
+  std::vector<char> is_suspect_, is_listed_;  // by slot
   long updates_ = 0;
   // Of the linearised system: chi2 at the linearisation points, and at the present d.
   double cost_at_points_ = 0, linear_cost_ = 0;
