@@ -121,10 +121,11 @@ std::string BatchTable(const nlohmann::json& graphs) {
 }
 
 std::string GrowthTable(const nlohmann::json& runs) {
-  Table table({"poses", "up to step", "median ms", "p99 ms", "worst ms", "total s", "peak MB"});
+  Table table({"poses", "links back", "factors", "up to step", "median ms", "p99 ms", "worst ms", "total s", "peak MB"});
   for (const auto& run : runs) {
     for (const auto& d : run["decades"]) {
-      table.Add({std::to_string(run["poses"].get<long>()), std::to_string(d["steps"].get<long>()),
+      table.Add({std::to_string(run["poses"].get<long>()), run["longest_link"],
+                 std::to_string(run["factors"].get<long>()), std::to_string(d["steps"].get<long>()),
                  Short(d["median_ms"]), Short(d["p99_ms"]), Short(d["worst_ms"]), Short(d["total_seconds"]),
                  Format("%.0f", d["peak_megabytes"])});
     }

@@ -19,7 +19,8 @@ nlohmann::json RunIncremental(const PoseGraph<Pose>& graph, int interval);
 template <class Pose>
 nlohmann::json RunBatch(const PoseGraph<Pose>& graph, InitialValues start, int repeats);
 
-// A generated Manhattan world fed pose by pose: median and worst step by decade, memory at the end.
-nlohmann::json RunGrowth(long poses);
+// A generated Manhattan world fed pose by pose: median and worst step by decade, and memory. Links that reach back
+// further than `longest_link` steps are left out. The estimate of the newest pose is read after every step, not all.
+nlohmann::json RunGrowth(long poses, long longest_link);
 
 }  // namespace terse::bench

@@ -55,7 +55,7 @@ class Decades {
 
 }  // namespace
 
-nlohmann::json RunGrowth(long poses) {
+nlohmann::json RunGrowth(long poses, long longest_link) {
   IncrementalSolver<SE2> solver;
   Decades decades;
   GraphUpdate<SE2> update;
@@ -76,10 +76,13 @@ nlohmann::json RunGrowth(long poses) {
     step();
     update.poses.push_back({id});
   };
-  sink.edge = [&](const RelativePoseFactor<SE2>& edge) { update.factors.push_back(edge); };
+  sink.edge = [&](const RelativePoseFactor<SE2>& edge) {
+    if (std::abs(edge.to.value - edge.from.value) <= longest_link) update.factors.push_back(edge);
+  };
   Generate<SE2>(options, sink);
   step();
   return {{"poses", poses},
+          {"longest_link", longest_link < poses ? std::to_string(longest_link) : "any"},
           {"factors", solver.Graph().Factors().size()},
           {"decades", decades.Finish()},
           {"normalized_chi2", solver.Chi2() / (3.0 * static_cast<double>(solver.Graph().Factors().size()))},

@@ -14,7 +14,7 @@ namespace {
 
 struct Options {
   std::vector<std::string> graphs, only = {"incremental", "batch", "growth"};
-  std::vector<long> growth = {100000};
+  std::vector<long> growth = {10000}, growth_local = {1000000};
   int interval = 50, repeats = 3;
   std::string json, markdown, update;
 
@@ -48,10 +48,12 @@ nlohmann::json MeasureAll(const Options& options) {
     }
   }
   if (options.Wants("growth")) {
-    for (const long poses : options.growth) {
+    const auto run = [&](long poses, long longest_link) {
       std::fprintf(stderr, "growth to %ld poses ...\n", poses);
-      results["growth"].push_back(RunGrowth(poses));
-    }
+      results["growth"].push_back(RunGrowth(poses, longest_link));
+    };
+    for (const long poses : options.growth) run(poses, poses);
+    for (const long poses : options.growth_local) run(poses, 100);
   }
   return results;
 }
@@ -68,6 +70,8 @@ int Main(int argc, char** argv) {
   app.add_option("--graphs", options.graphs, "Only these, by name, separated by commas")->delimiter(',');
   app.add_option("--only", options.only, "Only these: incremental, batch, growth")->delimiter(',');
   app.add_option("--growth", options.growth, "Sizes of the generated world of the growth run")->delimiter(',');
+  app.add_option("--growth-local", options.growth_local, "The same with links to the last 100 poses only")
+      ->delimiter(',');
   app.add_option("--interval", options.interval, "Steps between comparisons")->check(CLI::PositiveNumber);
   app.add_option("--repeats", options.repeats, "Batch runs, of which the fastest counts")->check(CLI::PositiveNumber);
   app.add_option("--json", options.json, "Write the results here");
