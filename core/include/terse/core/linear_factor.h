@@ -21,6 +21,15 @@ template <class Pose>
 LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int second, const Pose& T_world_first,
                                    const Pose& T_world_second);
 
+// W with W' W = Omega, upper triangular; a position prior's is in the upper left corner, zero elsewhere.
+template <class Pose>
+Matrix<Pose::kDof, Pose::kDof> SquareRootInformation(const Factor<Pose>& factor);
+
+// The same with the factor's SquareRootInformation, for those who linearise it again and again.
+template <class Pose>
+LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, const Matrix<Pose::kDof, Pose::kDof>& W, int first,
+                                   int second, const Pose& T_world_first, const Pose& T_world_second);
+
 // A proximal anchor: `information` on every tangent direction of `variable`, with zero residual at any value.
 template <int B>
 LinearFactor<B> Anchor(int variable, const Vector<B>& information);
