@@ -14,7 +14,7 @@ namespace {
 
 struct Options {
   std::vector<std::string> graphs, only = {"incremental", "batch", "growth"};
-  std::vector<long> growth = {10000}, growth_local = {1000000};
+  std::vector<long> growth = {10000}, growth_local = {100000};
   int interval = 50, repeats = 3;
   std::string json, markdown, update;
 
