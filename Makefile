@@ -7,7 +7,7 @@ packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libcli11-dev n
 bench_packages = libbenchmark-dev libceres-dev
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test bench install asan format format-check deps clean help
+.PHONY: all demo test bench bench-docs micro-bench install asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -21,9 +21,16 @@ test: build/build.ninja ## build everything and run the tests
 	@ctest --test-dir build --output-on-failure -j $(JOBS) --output-junit test-results.xml; status=$$?; \
 	  echo "Results: build/test-results.xml, output: build/Testing/Temporary/LastTest.log"; exit $$status
 
-bench: build-bench/build.ninja ## build and run the benchmarks
+bench: build-bench/build.ninja ## build and run the benchmarks; BENCH_ARGS='--graphs sphere2500 --only batch', --help
 	@cmake --build build-bench -j $(JOBS) --target terse_bench
-	@build-bench/bin/terse_bench $(BENCH_ARGS)
+	@build-bench/bin/terse_bench --json build-bench/bench.json $(BENCH_ARGS)
+
+bench-docs: ## run the benchmarks and put their tables into docs/benchmarks.md
+	@$(MAKE) --no-print-directory bench BENCH_ARGS="$(BENCH_ARGS) --update docs/benchmarks.md"
+
+micro-bench: build-bench/build.ninja ## build and run the benchmarks of single operations
+	@cmake --build build-bench -j $(JOBS) --target micro_bench
+	@build-bench/bin/micro_bench $(BENCH_ARGS)
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'

@@ -26,6 +26,7 @@ class Problem {
 
   explicit Problem(const PoseGraph<Pose>& graph) : graph_(graph) {
     if (graph.Poses().empty()) throw std::invalid_argument("the graph has no poses");
+    terms_.reserve(graph.Factors().size());
     for (const auto& node : graph.Factors()) Add(&node.factor);
     counted_ = terms_.size();
     fixed_.reserve(graph.Poses().size());
@@ -70,13 +71,14 @@ class Problem {
   struct Term {
     const Factor<Pose>* factor;
     int first, second;
+    Matrix<B, B> W;
   };
   void Add(const Factor<Pose>* factor) {
     const FactorPoses ends = PosesOf(*factor);
-    terms_.push_back({factor, graph_.IndexOf(ends.first), graph_.IndexOf(ends.second)});
+    terms_.push_back({factor, graph_.IndexOf(ends.first), graph_.IndexOf(ends.second), SquareRootInformation(*factor)});
   }
   static LinearFactor<B> LinearizeTerm(const Term& t, const std::vector<Pose>& values) {
-    return Linearize(*t.factor, t.first, t.second, values[At(t.first)], values[At(t.second)]);
+    return Linearize(*t.factor, t.W, t.first, t.second, values[At(t.first)], values[At(t.second)]);
   }
 
   const PoseGraph<Pose>& graph_;

@@ -44,8 +44,8 @@ double IncrementalSolver<Pose>::LinearizationError(int slot) const {
   }
   const Pose first = EstimateAt(f.first);
   const Vector<B> actual =
-      WhitenedResidual(graph_.FindFactor(id)->factor, first, f.second >= 0 ? EstimateAt(f.second) : first);
-  return (actual - linear).squaredNorm();
+      Residual(graph_.FindFactor(id)->factor, first, f.second >= 0 ? EstimateAt(f.second) : first);
+  return (W_of_slot_[At(slot)] * actual - linear).squaredNorm();
 }
 
 // Of the factors on poses that moved.
@@ -104,7 +104,7 @@ LinearFactor<Pose::kDof> IncrementalSolver<Pose>::LinearizeSlot(int slot, const 
   const FactorId id = factor_of_slot_[At(slot)];
   const int second = was.second < 0 ? was.first : was.second;
   if (id.value >= 0) {
-    return Linearize(graph_.FindFactor(id)->factor, was.first, second, point(was.first), point(second));
+    return Linearize(graph_.FindFactor(id)->factor, W_of_slot_[At(slot)], was.first, second, point(was.first), point(second));
   }
   const auto& fixed = graph_.Poses()[At(was.first)];
   return Linearize<Pose>(FixedPosePrior<Pose>(fixed.id, *fixed.T_world_body), was.first, was.first, point(was.first),

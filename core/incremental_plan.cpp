@@ -113,7 +113,8 @@ void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>& update, Plan&
   for (const auto& factor : update.factors) {
     const FactorPoses ends = PosesOf(factor);
     const int first = plan.IndexOf(ends.first, graph_), second = plan.IndexOf(ends.second, graph_);
-    plan.changes.added.push_back(Linearize(factor, first, second, point(first), point(second)));
+    plan.W.push_back(SquareRootInformation(factor));
+    plan.changes.added.push_back(Linearize(factor, plan.W.back(), first, second, point(first), point(second)));
   }
   for (size_t k = 0; k < update.poses.size(); ++k) {
     if (!update.poses[k].fixed) continue;
@@ -178,6 +179,7 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
       error_of_slot_.resize(At(slot) + 1, 0.0);
       is_suspect_.resize(At(slot) + 1, 0);
       is_listed_.resize(At(slot) + 1, 0);
+      W_of_slot_.resize(At(slot) + 1);
     }
     factor_of_slot_[At(slot)] = id;
   };
@@ -186,6 +188,7 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     report.factor_ids.push_back(id);
     measured_scalars_ += Dimension(update.factors[k]);
     bind(added_slots[k], id);
+    W_of_slot_[At(added_slots[k])] = plan.W[k];
     slot_of_factor_.resize(At(id) + 1, -1);
     slot_of_factor_[At(id)] = added_slots[k];
   }

@@ -12,6 +12,7 @@ struct IncrementalSolver<Pose>::Plan {
   std::map<PoseId, int> new_index;
   std::vector<Pose> new_values;  // in the order of update.poses
   typename BlockCholesky<B>::Changes changes;
+  std::vector<Matrix<B, B>> W;  // of update.factors
   bool adds_anchor = false;
   AbsoluteFactors absolute;
   Vector<B> anchor_information;

@@ -5,55 +5,56 @@
 #include "terse/core/residual.h"
 
 namespace terse {
-namespace {
-
-// W with W' W = information.
-template <int N>
-Matrix<N, N> SquareRoot(const Matrix<N, N>& information) {
-  return information.llt().matrixU();
-}
-
-}  // namespace
 
 template <class Pose>
-LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int second, const Pose& T_world_first,
-                                   const Pose& T_world_second) {
+Matrix<Pose::kDof, Pose::kDof> SquareRootInformation(const Factor<Pose>& factor) {
+  constexpr int B = Pose::kDof, D = Pose::kDim;
+  if (const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor)) return f->information.llt().matrixU();
+  if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) return f->information.llt().matrixU();
+  Matrix<B, B> W = Matrix<B, B>::Zero();
+  W.template topLeftCorner<D, D>() = std::get<PositionPriorFactor<Pose>>(factor).information.llt().matrixU();
+  return W;
+}
+
+template <class Pose>
+LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, const Matrix<Pose::kDof, Pose::kDof>& W, int first,
+                                   int second, const Pose& T_world_first, const Pose& T_world_second) {
+  constexpr int D = Pose::kDim;
   LinearFactor<Pose::kDof> out;
   out.first = first;
   if (const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
     const auto e = EvaluateRelative(f->T_from_to, T_world_first, T_world_second);
-    const auto W = SquareRoot<Pose::kDof>(f->information);
     out.second = second;
     out.A_first.noalias() = W * e.J_residual_from;
     out.A_second.noalias() = W * e.J_residual_to;
     out.residual.noalias() = W * e.residual;
   } else if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) {
     const auto e = EvaluatePrior(f->T_world_body, T_world_first);
-    const auto W = SquareRoot<Pose::kDof>(f->information);
     out.A_first.noalias() = W * e.J_residual_pose;
     out.residual.noalias() = W * e.residual;
   } else {
-    const auto& p = std::get<PositionPriorFactor<Pose>>(factor);
-    const auto e = EvaluatePosition<Pose>(p.p_world, T_world_first);
-    const auto W = SquareRoot<Pose::kDim>(p.information);
-    out.A_first.template topRows<Pose::kDim>() = W * e.J_residual_pose;
-    out.residual.template head<Pose::kDim>() = W * e.residual;
+    const auto e = EvaluatePosition<Pose>(std::get<PositionPriorFactor<Pose>>(factor).p_world, T_world_first);
+    out.A_first.template topRows<D>() = W.template topLeftCorner<D, D>() * e.J_residual_pose;
+    out.residual.template head<D>() = W.template topLeftCorner<D, D>() * e.residual;
   }
   return out;
 }
 
 template <class Pose>
-Vector<Pose::kDof> WhitenedResidual(const Factor<Pose>& factor, const Pose& T_world_first, const Pose& T_world_second) {
+LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int second, const Pose& T_world_first,
+                                   const Pose& T_world_second) {
+  return Linearize(factor, SquareRootInformation(factor), first, second, T_world_first, T_world_second);
+}
+
+template <class Pose>
+Vector<Pose::kDof> Residual(const Factor<Pose>& factor, const Pose& T_world_first, const Pose& T_world_second) {
   if (const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
-    const typename Pose::Tangent r = (T_world_first * f->T_from_to).Local(T_world_second);
-    return SquareRoot<Pose::kDof>(f->information) * r;
+    return (T_world_first * f->T_from_to).Local(T_world_second);
   }
-  if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) {
-    return SquareRoot<Pose::kDof>(f->information) * f->T_world_body.Local(T_world_first);
-  }
-  const auto& f = std::get<PositionPriorFactor<Pose>>(factor);
+  if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) return f->T_world_body.Local(T_world_first);
   Vector<Pose::kDof> out = Vector<Pose::kDof>::Zero();
-  out.template head<Pose::kDim>() = SquareRoot<Pose::kDim>(f.information) * (T_world_first.Translation() - f.p_world);
+  out.template head<Pose::kDim>() =
+      T_world_first.Translation() - std::get<PositionPriorFactor<Pose>>(factor).p_world;
   return out;
 }
 
@@ -70,10 +71,13 @@ int Dimension(const Factor<Pose>& factor) {
   return std::holds_alternative<PositionPriorFactor<Pose>>(factor) ? Pose::kDim : Pose::kDof;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                               \
-  template LinearFactor<Pose::kDof> Linearize<Pose>(const Factor<Pose>&, int, int, const Pose&, const Pose&); \
-  template LinearFactor<Pose::kDof> Anchor<Pose::kDof>(int, const Vector<Pose::kDof>&);                       \
-  template Vector<Pose::kDof> WhitenedResidual<Pose>(const Factor<Pose>&, const Pose&, const Pose&);          \
+#define TERSE_INSTANTIATE(Pose)                                                                                      \
+  template Matrix<Pose::kDof, Pose::kDof> SquareRootInformation<Pose>(const Factor<Pose>&);                          \
+  template LinearFactor<Pose::kDof> Linearize<Pose>(const Factor<Pose>&, int, int, const Pose&, const Pose&);        \
+  template LinearFactor<Pose::kDof> Linearize<Pose>(const Factor<Pose>&, const Matrix<Pose::kDof, Pose::kDof>&, int, \
+                                                    int, const Pose&, const Pose&);                                  \
+  template LinearFactor<Pose::kDof> Anchor<Pose::kDof>(int, const Vector<Pose::kDof>&);                              \
+  template Vector<Pose::kDof> Residual<Pose>(const Factor<Pose>&, const Pose&, const Pose&);                          \
   template int Dimension<Pose>(const Factor<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -73,24 +73,14 @@ FactorId PoseGraph<Pose>::AddFactor(const Factor<Pose>& factor) {
   const std::string defect = FindDefect(factor);
   if (!defect.empty()) throw std::invalid_argument(defect);
   const FactorId id{next_factor_id_};
-  factors_.push_back({id, factor});
+  factors_.Append(id, factor);
   ++next_factor_id_;
   return id;
 }
 
 template <class Pose>
 bool PoseGraph<Pose>::RemoveFactor(FactorId id) {
-  const FactorNode* node = FindFactor(id);
-  if (node == nullptr) return false;
-  factors_.erase(factors_.begin() + (node - factors_.data()));
-  return true;
-}
-
-template <class Pose>
-const typename PoseGraph<Pose>::FactorNode* PoseGraph<Pose>::FindFactor(FactorId id) const {
-  const auto it = std::lower_bound(factors_.begin(), factors_.end(), id,
-                                   [](const FactorNode& node, FactorId wanted) { return node.id < wanted; });
-  return it != factors_.end() && it->id == id ? &*it : nullptr;
+  return factors_.Remove(id);
 }
 
 template <class Pose>

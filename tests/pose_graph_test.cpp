@@ -67,8 +67,9 @@ TYPED_TEST(PoseGraphTest, RemovedFactorsLeaveTheOthersAndTheirIds) {
   for (int i = 0; i < 10; ++i) graph.AddPose({i});
   std::set<std::int64_t> living;
   std::int64_t newest = -1;
-  for (int step = 0; step < 200; ++step) {
-    if (living.empty() || random() % 3 != 0) {
+  for (int step = 0; step < 400; ++step) {
+    // Now more come than go, now more go.
+    if (living.empty() || random() % 4 < (step / 50 % 2 == 0 ? 3U : 1U)) {
       const FactorId id = graph.AddFactor(
           Edge<Pose>(static_cast<std::int64_t>(random() % 5), 5 + static_cast<std::int64_t>(random() % 5)));
       EXPECT_GT(id.value, newest) << "an id was reused";
@@ -84,10 +85,14 @@ TYPED_TEST(PoseGraphTest, RemovedFactorsLeaveTheOthersAndTheirIds) {
     }
     ASSERT_EQ(graph.Factors().size(), living.size());
     auto wanted = living.begin();
+    std::size_t k = 0;
     for (const auto& node : graph.Factors()) {
       EXPECT_EQ(node.id.value, *wanted++);
       EXPECT_EQ(graph.FindFactor(node.id), &node);
+      EXPECT_EQ(&graph.Factors()[k++], &node);
     }
+    EXPECT_EQ(k, living.size());
+    EXPECT_THROW(graph.Factors().at(k), std::out_of_range);
   }
   EXPECT_FALSE(graph.RemoveFactor({newest + 1}));
   EXPECT_FALSE(graph.RemoveFactor({-1}));

@@ -1,175 +1,99 @@
-// Benchmarks on the public graphs (where ../shared/data is present) and on generated ones.
-//
-// Factor: one numeric factorisation of H at the initial values, ours and CHOLMOD's (supernodal, its own ordering), on
-// the same matrix. Batch: to convergence. Incremental: one pose per step with all its edges, full estimate
-// after each. Covariance: all diagonal blocks at the initial values. One thread. BENCH_ARGS go to Google Benchmark,
-// for example --benchmark_filter=Factor or --benchmark_out=results.json.
+// The benchmark behind docs/benchmarks.md: incremental runs beside CHOLMOD, batch beside Ceres, growth. One thread.
 
-#include <benchmark/benchmark.h>
-#include <cholmod.h>
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <fstream>
+#include <iostream>
 
-#include <filesystem>
-#include <functional>
-#include <memory>
+#include "bench_graphs.h"
+#include "bench_report.h"
+#include "bench_runs.h"
 
-#include "terse/core/arrival.h"
-#include "terse/core/generate.h"
-#include "terse/core/graph_file.h"
-#include "terse/core/incremental_solver.h"
-#include "terse/core/initial_values.h"
-#include "terse/covariance/selected_inverse.h"
-#include "testing.h"
-
-namespace terse {
+namespace terse::bench {
 namespace {
 
-// H in compressed columns, lower triangle.
-template <class Pose>
-class CholmodMatrix {
- public:
-  static constexpr int B = Pose::kDof;
+struct Options {
+  std::vector<std::string> graphs, only = {"incremental", "batch", "growth"};
+  std::vector<long> growth = {10000}, growth_local = {100000};
+  int interval = 50, repeats = 3;
+  std::string json, markdown, update;
 
-  CholmodMatrix(const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
-    cholmod_start(&common_);
-    common_.supernodal = CHOLMOD_SUPERNODAL;
-    const std::size_t n = B * values.size();
-    std::vector<LinearFactor<B>> factors;
-    for (const auto& node : graph.Factors()) {
-      const FactorPoses ends = PosesOf(node.factor);
-      const int i = graph.IndexOf(ends.first), j = graph.IndexOf(ends.second);
-      factors.push_back(
-          Linearize(node.factor, i, j, values[static_cast<std::size_t>(i)], values[static_cast<std::size_t>(j)]));
-    }
-    factors.push_back(Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph))));
-    cholmod_triplet* triplets = cholmod_allocate_triplet(n, n, factors.size() * 3 * B * B, -1, CHOLMOD_REAL, &common_);
-    const auto add = [&](int i, int j, const Matrix<B, B>& H) {
-      for (int c = 0; c < B; ++c) {
-        for (int r = 0; r < B; ++r) {
-          const int row = B * i + r, column = B * j + c;
-          if (row < column) continue;
-          static_cast<int*>(triplets->i)[triplets->nnz] = row;
-          static_cast<int*>(triplets->j)[triplets->nnz] = column;
-          static_cast<double*>(triplets->x)[triplets->nnz++] = H(r, c);
-        }
-      }
-    };
-    for (const auto& f : factors) {
-      add(f.first, f.first, f.A_first.transpose() * f.A_first);
-      if (f.second < 0) continue;
-      add(f.second, f.second, f.A_second.transpose() * f.A_second);
-      const bool forward = f.first > f.second;
-      const Matrix<B, B> across =
-          forward ? Matrix<B, B>(f.A_first.transpose() * f.A_second) : Matrix<B, B>(f.A_second.transpose() * f.A_first);
-      add(forward ? f.first : f.second, forward ? f.second : f.first, across);
-    }
-    matrix_ = cholmod_triplet_to_sparse(triplets, 0, &common_);
-    cholmod_free_triplet(&triplets, &common_);
-    factor_ = cholmod_analyze(matrix_, &common_);
+  bool Wants(const std::string& what) const { return std::find(only.begin(), only.end(), what) != only.end(); }
+  bool WantsGraph(const std::string& name) const {
+    return graphs.empty() || std::find(graphs.begin(), graphs.end(), name) != graphs.end();
   }
-  ~CholmodMatrix() {
-    cholmod_free_factor(&factor_, &common_);
-    cholmod_free_sparse(&matrix_, &common_);
-    cholmod_finish(&common_);
-  }
-  CholmodMatrix(const CholmodMatrix&) = delete;
-  CholmodMatrix& operator=(const CholmodMatrix&) = delete;
-
-  void Factorize() { cholmod_factorize(matrix_, factor_, &common_); }
-
- private:
-  cholmod_common common_{};
-  cholmod_sparse* matrix_ = nullptr;
-  cholmod_factor* factor_ = nullptr;
 };
 
-template <class Pose>
-void RegisterGraph(const std::string& name, std::shared_ptr<const PoseGraph<Pose>> graph, InitialValues initial) {
-  const auto values = std::make_shared<const std::vector<Pose>>(ComputeInitialValues(*graph, initial));
-  const auto add = [&](const std::string& what, std::function<void(benchmark::State&)> run) {
-    benchmark::RegisterBenchmark((what + "/" + name).c_str(), std::move(run))->Unit(benchmark::kMillisecond);
-  };
-  add("Factor/terse", [=](benchmark::State& state) {
-    auto factor = FactorAt(*graph, *values);
-    for (auto _ : state) benchmark::DoNotOptimize(factor.Refactor());
-  });
-  add("Factor/cholmod", [=](benchmark::State& state) {
-    CholmodMatrix<Pose> matrix(*graph, *values);
-    for (auto _ : state) matrix.Factorize();
-  });
-  add("Batch/terse", [=](benchmark::State& state) {
-    for (auto _ : state) {
-      const auto result = SolveBatch(*graph, *values);
-      state.counters["chi2"] = result.chi2;
-      state.counters["iterations"] = result.iterations;
-    }
-  });
-  add("Incremental/terse", [=](benchmark::State& state) {
-    const auto steps = ArrivalSteps(*graph, ArrivalUnit::kPose);
-    for (auto _ : state) {
-      IncrementalSolver<Pose> solver;
-      for (const ArrivalStep& step : steps) {
-        GraphUpdate<Pose> update;
-        for (const int p : step.poses) update.poses.push_back({graph->Poses()[static_cast<std::size_t>(p)].id});
-        for (const int f : step.factors) update.factors.push_back(graph->Factors()[static_cast<std::size_t>(f)].factor);
-        solver.Update(update);
-      }
-      state.counters["chi2"] = solver.Chi2();
-    }
-  });
-  add("Covariance/terse", [=](benchmark::State& state) {
-    const auto factor = FactorAt(*graph, *values);
-    const SelectedInverse<Pose::kDof> inverse(factor);
-    for (auto _ : state) benchmark::DoNotOptimize(inverse.AllDiagonals());
-  });
-}
-
-void RegisterFile(const std::string& name, const std::string& path, InitialValues initial,
-                  RotationInformation meaning) {
-  const std::string full = TERSE_SOURCE_DIR "/../shared/data/graphs/" + path;
-  if (!std::filesystem::exists(full)) {
-    std::fprintf(stderr, "%s: left out, %s is not there\n", name.c_str(), full.c_str());
-    return;
-  }
-  ReadOptions options;
-  options.rotation_information = meaning;
+nlohmann::json Measure(const BenchGraph& source, const Options& options) {
+  nlohmann::json json = {{"name", source.name}};
+  const AnyPoseGraph any = source.load();
   std::visit(
-      [&](auto graph) {
-        using Graph = decltype(graph);
-        RegisterGraph(name, std::make_shared<const Graph>(std::move(graph)), initial);
+      [&](const auto& graph) {
+        json["poses"] = graph.Poses().size();
+        json["factors"] = graph.Factors().size();
+        if (options.Wants("batch")) json["batch"] = RunBatch(graph, source.start, options.repeats);
+        if (options.Wants("incremental")) json["incremental"] = RunIncremental(graph, options.interval);
       },
-      ReadGraph(full, options).graph);
+      any);
+  return json;
 }
 
-void RegisterManhattan(long poses) {
-  auto graph = std::make_shared<PoseGraph<SE2>>();
-  GenerateOptions options;
-  options.scene = Scene::kManhattan;
-  options.poses = poses;
-  GenerateSink<SE2> sink;
-  sink.pose = [&](PoseId id, const SE2&) { graph->AddPose(id); };
-  sink.edge = [&](const RelativePoseFactor<SE2>& edge) { graph->AddFactor(edge); };
-  Generate<SE2>(options, sink);
-  RegisterGraph<SE2>("generated_manhattan_" + std::to_string(poses), graph, InitialValues::kChordal);
+nlohmann::json MeasureAll(const Options& options) {
+  nlohmann::json results = {{"machine", Machine()}, {"graphs", nlohmann::json::array()}};
+  if (options.Wants("batch") || options.Wants("incremental")) {
+    for (const BenchGraph& source : BenchGraphs()) {
+      if (!options.WantsGraph(source.name)) continue;
+      std::fprintf(stderr, "%s ...\n", source.name.c_str());
+      results["graphs"].push_back(Measure(source, options));
+    }
+  }
+  if (options.Wants("growth")) {
+    const auto run = [&](long poses, long longest_link) {
+      std::fprintf(stderr, "growth to %ld poses ...\n", poses);
+      results["growth"].push_back(RunGrowth(poses, longest_link));
+    };
+    for (const long poses : options.growth) run(poses, poses);
+    for (const long poses : options.growth_local) run(poses, 100);
+  }
+  return results;
+}
+
+nlohmann::json ReadResults(const std::string& path) {
+  std::ifstream in(path);
+  if (!in) throw std::runtime_error(path + ": cannot be read");
+  return nlohmann::json::parse(in);
+}
+
+int Main(int argc, char** argv) {
+  Options options;
+  CLI::App app("Benchmarks of pose-graph optimisation", "terse_bench");
+  app.add_option("--graphs", options.graphs, "Only these, by name, separated by commas")->delimiter(',');
+  app.add_option("--only", options.only, "Only these: incremental, batch, growth")->delimiter(',');
+  app.add_option("--growth", options.growth, "Sizes of the generated world of the growth run")->delimiter(',');
+  app.add_option("--growth-local", options.growth_local, "The same with links to the last 100 poses only")
+      ->delimiter(',');
+  app.add_option("--interval", options.interval, "Steps between comparisons")->check(CLI::PositiveNumber);
+  app.add_option("--repeats", options.repeats, "Batch runs, of which the fastest counts")->check(CLI::PositiveNumber);
+  app.add_option("--json", options.json, "Write the results here");
+  app.add_option("--markdown", options.markdown, "Measure nothing: print the tables of these results");
+  app.add_option("--update", options.update, "Put the tables into this document");
+  CLI11_PARSE(app, argc, argv);
+  const nlohmann::json results = options.markdown.empty() ? MeasureAll(options) : ReadResults(options.markdown);
+  if (!options.json.empty()) std::ofstream(options.json) << results.dump(2) << '\n';
+  const std::string tables = Tables(results);
+  std::cout << tables;
+  if (!options.update.empty()) UpdateDocument(options.update, tables);
+  return 0;
 }
 
 }  // namespace
-}  // namespace terse
+}  // namespace terse::bench
 
 int main(int argc, char** argv) {
-  using terse::InitialValues;
-  using terse::RotationInformation;
-  const auto quaternion = RotationInformation::kQuaternion, radians = RotationInformation::kRadians;
-  terse::RegisterFile("parking-garage", "3d/parking-garage.g2o", InitialValues::kCompose, quaternion);
-  terse::RegisterFile("sphere2500", "3d/sphere2500.g2o", InitialValues::kCompose, quaternion);
-  terse::RegisterFile("torus3D", "3d/torus3D.g2o", InitialValues::kChordal, radians);
-  terse::RegisterFile("kitti00_all_loops", "3d/kitti00_all_loops.g2o", InitialValues::kCompose, quaternion);
-  terse::RegisterFile("manhattan", "2d/manhattan.g2o", InitialValues::kCompose, quaternion);
-  terse::RegisterFile("city10000", "2d/city10000.g2o", InitialValues::kChordal, quaternion);
-  terse::RegisterFile("w10000_hogman", "2d/w10000_hogman.graph", InitialValues::kFile, quaternion);
-  terse::RegisterManhattan(10000);
-  benchmark::Initialize(&argc, argv);
-  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
-  benchmark::RunSpecifiedBenchmarks();
-  benchmark::Shutdown();
-  return 0;
+  try {
+    return terse::bench::Main(argc, argv);
+  } catch (const std::exception& error) {
+    std::cerr << "terse_bench: " << error.what() << '\n';
+    return 1;
+  }
 }

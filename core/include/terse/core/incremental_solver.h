@@ -119,6 +119,7 @@ class IncrementalSolver {
   BlockCholesky<B> factor_;
   std::vector<int> slot_of_factor_;       // by factor id; -1 when removed
   std::vector<FactorId> factor_of_slot_;  // -1: an anchor, or a free slot
+  std::vector<Matrix<B, B>> W_of_slot_;   // square roots of the factors' information
   int anchor_slot_ = -1;
   Vector<B> anchor_information_ = Vector<B>::Zero();
   AbsoluteFactors absolute_;

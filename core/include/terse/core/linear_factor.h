@@ -21,9 +21,18 @@ template <class Pose>
 LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int second, const Pose& T_world_first,
                                    const Pose& T_world_second);
 
-// The residual alone, whitened.
+// The residual alone, not whitened; a position prior's ends in zeros.
 template <class Pose>
-Vector<Pose::kDof> WhitenedResidual(const Factor<Pose>& factor, const Pose& T_world_first, const Pose& T_world_second);
+Vector<Pose::kDof> Residual(const Factor<Pose>& factor, const Pose& T_world_first, const Pose& T_world_second);
+
+// W with W' W = Omega, upper triangular; a position prior's is in the upper left corner, zero elsewhere.
+template <class Pose>
+Matrix<Pose::kDof, Pose::kDof> SquareRootInformation(const Factor<Pose>& factor);
+
+// The same with the factor's SquareRootInformation, for those who linearise it again and again.
+template <class Pose>
+LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, const Matrix<Pose::kDof, Pose::kDof>& W, int first,
+                                   int second, const Pose& T_world_first, const Pose& T_world_second);
 
 // A proximal anchor: `information` on every tangent direction of `variable`, with zero residual at any value.
 template <int B>

@@ -5,7 +5,9 @@
 // Every information matrix is full, in the tangent order of the pose ([rho; phi], metres and radians).
 // A graph is a value; concurrent reads are safe.
 
+#include <cstddef>
 #include <cstdint>
+#include <iterator>
 #include <optional>
 #include <string>
 #include <unordered_map>
@@ -61,6 +63,75 @@ template <class Pose>
 using Factor = std::variant<RelativePoseFactor<Pose>, PosePriorFactor<Pose>, PositionPriorFactor<Pose>>;
 
 template <class Pose>
+struct FactorNode {
+  FactorId id;
+  Factor<Pose> factor;
+};
+
+// Factors in order of arrival, from which any can go. A removed one leaves a gap, which no access shows; the gaps are
+// closed when they are more than the living. So Remove is O(log n) amortised, and references live until then only.
+template <class Pose>
+class FactorList {
+ public:
+  using Node = FactorNode<Pose>;
+  class Iterator {
+   public:
+    using iterator_category = std::forward_iterator_tag;
+    using value_type = Node;
+    using difference_type = std::ptrdiff_t;
+    using pointer = const Node*;
+    using reference = const Node&;
+    Iterator() = default;
+    Iterator(const FactorList& list, std::size_t at) : list_(&list), at_(at) { SkipGaps(); }
+    reference operator*() const { return list_->nodes_[at_]; }
+    pointer operator->() const { return &list_->nodes_[at_]; }
+    Iterator& operator++() {
+      ++at_;
+      SkipGaps();
+      return *this;
+    }
+    Iterator operator++(int) {
+      const Iterator before = *this;
+      ++*this;
+      return before;
+    }
+    friend bool operator==(const Iterator& a, const Iterator& b) { return a.at_ == b.at_; }
+    friend bool operator!=(const Iterator& a, const Iterator& b) { return a.at_ != b.at_; }
+
+   private:
+    void SkipGaps() {
+      while (at_ < list_->nodes_.size() && list_->is_gap_[at_]) ++at_;
+    }
+    const FactorList* list_ = nullptr;
+    std::size_t at_ = 0;
+  };
+
+  std::size_t size() const { return nodes_.size() - gaps_; }
+  bool empty() const { return size() == 0; }
+  Iterator begin() const { return Iterator(*this, 0); }
+  Iterator end() const { return Iterator(*this, nodes_.size()); }
+  // The k-th living factor. O(1) while there are no gaps, else O(log n).
+  const Node& operator[](std::size_t k) const { return nodes_[gaps_ == 0 ? k : PositionOf(k)]; }
+  const Node& at(std::size_t k) const;  // throws std::out_of_range
+  const Node& back() const { return (*this)[size() - 1]; }
+  // O(log n); nullptr if it is not there.
+  const Node* Find(FactorId id) const;
+
+  // The id must be above all before.
+  void Append(FactorId id, const Factor<Pose>& factor);
+  bool Remove(FactorId id);
+
+ private:
+  std::size_t PositionOf(std::size_t k) const;
+  void CloseGaps();
+
+  std::vector<Node> nodes_;  // ascending ids
+  std::vector<bool> is_gap_;
+  std::vector<int> gap_counts_;  // Fenwick tree over is_gap_
+  std::size_t gaps_ = 0;
+};
+
+template <class Pose>
 class PoseGraph {
  public:
   struct PoseNode {
@@ -68,10 +139,7 @@ class PoseGraph {
     std::optional<Pose> T_world_body;  // absent when a file names the pose in edges only
     bool fixed = false;                // FIX in a file: anchored at its value
   };
-  struct FactorNode {
-    FactorId id;
-    Factor<Pose> factor;
-  };
+  using FactorNode = terse::FactorNode<Pose>;
 
   // Throws std::invalid_argument if the id is taken or the value is not finite.
   void AddPose(PoseId id, const std::optional<Pose>& T_world_body = std::nullopt);
@@ -82,13 +150,13 @@ class PoseGraph {
   // Throws std::invalid_argument, leaving the graph as it was, if a pose is unknown, an edge joins a pose to
   // itself, a number is not finite, or the information is not symmetric positive definite.
   FactorId AddFactor(const Factor<Pose>& factor);
-  // False if there is no such factor (any more).
+  // False if there is no such factor (any more). O(log n) amortised.
   bool RemoveFactor(FactorId id);
 
   const std::vector<PoseNode>& Poses() const { return poses_; }
   // Living factors in order of arrival.
-  const std::vector<FactorNode>& Factors() const { return factors_; }
-  const FactorNode* FindFactor(FactorId id) const;
+  const FactorList<Pose>& Factors() const { return factors_; }
+  const FactorNode* FindFactor(FactorId id) const { return factors_.Find(id); }
   bool HasPose(PoseId id) const { return index_.count(id.value) != 0; }
   // Index into Poses(). Throws std::invalid_argument if the pose is unknown.
   int IndexOf(PoseId id) const;
@@ -96,7 +164,7 @@ class PoseGraph {
  private:
   std::vector<PoseNode> poses_;
   std::unordered_map<std::int64_t, int> index_;
-  std::vector<FactorNode> factors_;  // ascending ids
+  FactorList<Pose> factors_;
   std::int64_t next_factor_id_ = 0;
 };
 
@@ -124,6 +192,8 @@ double Chi2(const PoseGraph<Pose>& graph);
 template <class Pose>
 std::vector<std::vector<int>> ConnectedComponents(const PoseGraph<Pose>& graph);
 
+extern template class FactorList<SE2>;
+extern template class FactorList<SE3>;
 extern template class PoseGraph<SE2>;
 extern template class PoseGraph<SE3>;
 

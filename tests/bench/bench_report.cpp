@@ -1,0 +1,183 @@
+#include "bench_report.h"
+
+#include <cstdio>
+#include <ctime>
+#include <fstream>
+#include <sstream>
+#include <stdexcept>
+#include <thread>
+
+namespace terse::bench {
+namespace {
+
+std::string OutputOf(const std::string& command) {
+  FILE* pipe = popen(command.c_str(), "r");
+  if (pipe == nullptr) return "";
+  std::string out;
+  for (int c; (c = std::fgetc(pipe)) != EOF;) out += static_cast<char>(c);
+  pclose(pipe);
+  while (!out.empty() && out.back() == '\n') out.pop_back();
+  return out;
+}
+
+std::string ProcessorName() {
+  std::ifstream info("/proc/cpuinfo");
+  for (std::string line; std::getline(info, line);) {
+    if (line.rfind("model name", 0) == 0) return line.substr(line.find(':') + 2);
+  }
+  return "unknown";
+}
+
+// The baselines stand and fall with it. Its file with the folder, which tells Debian's alternatives apart.
+std::string BlasInUse() {
+  std::ifstream maps("/proc/self/maps");
+  std::string found = "unknown";
+  for (std::string line; std::getline(maps, line);) {
+    const std::size_t file = line.rfind('/');
+    if (file == std::string::npos) continue;
+    const std::string name = line.substr(file + 1);
+    const auto begins = [&](const char* with) { return name.rfind(with, 0) == 0; };
+    if (begins("libopenblas") || begins("libmkl")) return name;
+    if (begins("libblas")) found = line.substr(line.rfind('/', file - 1) + 1);
+  }
+  return found;
+}
+
+std::string Format(const char* format, double value) {
+  char text[64];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+std::string Short(double value) { return Format("%.3g", value); }
+std::string Ratio(double value) { return value > 0 ? Format("%.1f", value) : "-"; }
+
+// Cells padded so that the source is a table too.
+class Table {
+ public:
+  explicit Table(std::vector<std::string> head) { rows_.push_back(std::move(head)); }
+  void Add(std::vector<std::string> row) { rows_.push_back(std::move(row)); }
+  std::string Text() const {
+    std::vector<std::size_t> width(rows_[0].size(), 4);
+    for (const auto& row : rows_) {
+      for (std::size_t c = 0; c < row.size(); ++c) width[c] = std::max(width[c], row[c].size());
+    }
+    std::string out;
+    for (std::size_t r = 0; r < rows_.size(); ++r) {
+      for (std::size_t c = 0; c < width.size(); ++c) {
+        const std::string space(width[c] - rows_[r][c].size(), ' ');
+        out += (c == 0 ? "| " + rows_[r][c] + space : " | " + space + rows_[r][c]);
+      }
+      out += " |\n";
+      if (r > 0) continue;
+      for (std::size_t c = 0; c < width.size(); ++c) {
+        out += (c == 0 ? "| " : " | ") + std::string(width[c] - 1, '-') + (c == 0 ? '-' : ':');
+      }
+      out += " |\n";
+    }
+    return out;
+  }
+
+ private:
+  std::vector<std::vector<std::string>> rows_;
+};
+
+std::string IncrementalTable(const nlohmann::json& graphs) {
+  Table table({"graph", "poses", "factors", "total s", "median ms", "p99 ms", "worst ms", "mean gap", "final gap",
+               "GFLOP", "GFLOP/s", "order, linearise, factor, solve, estimate, rest s", "CHOLMOD s", "ratio"});
+  for (const auto& g : graphs) {
+    if (!g.contains("incremental")) continue;
+    const auto& i = g["incremental"];
+    std::string phases;
+    for (const char* name : {"order", "linearise", "factor", "solve", "estimate", "rest"}) {
+      phases += (phases.empty() ? "" : ", ") + Format("%.2f", i["phases"][name]);
+    }
+    const double total = i["total_seconds"], cholmod = i["cholmod"]["total_seconds"];
+    table.Add({g["name"], std::to_string(g["poses"].get<long>()), std::to_string(g["factors"].get<long>()),
+               Short(total), Short(i["median_ms"]), Short(i["p99_ms"]), Short(i["worst_ms"]),
+               Format("%.1e", i["mean_gap"]), Format("%.1e", i["final_gap"]),
+               Short(1e-9 * i["factor_flops"].get<double>()), Short(i["gflops_per_second"]), phases, Short(cholmod),
+               Ratio(cholmod / total)});
+  }
+  return table.Text();
+}
+
+std::string BatchTable(const nlohmann::json& graphs) {
+  Table table({"graph", "start", "chi2", "terse ms", "iterations", "order, linearise, factor, solve ms", "Ceres ms",
+               "iterations", "ratio"});
+  for (const auto& g : graphs) {
+    if (!g.contains("batch")) continue;
+    const auto& b = g["batch"];
+    const double terse = b["terse"]["seconds"], ceres = b["ceres"]["seconds"];
+    std::string phases;
+    for (const char* name : {"order", "linearise", "factor", "solve"}) {
+      phases += (phases.empty() ? "" : ", ") + Format("%.0f", 1e3 * b["phases"][name].get<double>());
+    }
+    const auto ms = [](double seconds) { return seconds < 0 ? "never" : Short(1e3 * seconds); };
+    table.Add({g["name"], b["start"], Format("%.8g", b["optimum"]), ms(terse),
+               std::to_string(b["terse"]["iterations"].get<int>()), phases, ms(ceres),
+               std::to_string(b["ceres"]["iterations"].get<int>()), Ratio(ceres / terse)});
+  }
+  return table.Text();
+}
+
+std::string GrowthTable(const nlohmann::json& runs) {
+  Table table({"poses", "links back", "factors", "up to step", "median ms", "p99 ms", "worst ms", "total s", "peak MB"});
+  for (const auto& run : runs) {
+    for (const auto& d : run["decades"]) {
+      table.Add({std::to_string(run["poses"].get<long>()), run["longest_link"],
+                 std::to_string(run["factors"].get<long>()), std::to_string(d["steps"].get<long>()),
+                 Short(d["median_ms"]), Short(d["p99_ms"]), Short(d["worst_ms"]), Short(d["total_seconds"]),
+                 Format("%.0f", d["peak_megabytes"])});
+    }
+  }
+  return table.Text();
+}
+
+}  // namespace
+
+nlohmann::json Machine() {
+  char date[32];
+  const std::time_t now = std::time(nullptr);
+  std::strftime(date, sizeof date, "%Y-%m-%d", std::gmtime(&now));
+  return {{"processor", ProcessorName()},
+          {"cores", std::thread::hardware_concurrency()},
+          {"commit", OutputOf("git -C '" TERSE_SOURCE_DIR "' describe --always --dirty --match= 2>/dev/null")},
+          {"compiler", __VERSION__},
+          {"blas", BlasInUse()},
+          {"date", date}};
+}
+
+std::string Tables(const nlohmann::json& results) {
+  const auto& m = results["machine"];
+  std::string out = m["processor"].get<std::string>() + ", " + std::to_string(m["cores"].get<int>()) +
+                    " cores, one used; commit " + m["commit"].get<std::string>() + ", GCC " +
+                    m["compiler"].get<std::string>() + ", BLAS of the baselines " + m["blas"].get<std::string>() +
+                    ", " + m["date"].get<std::string>() + ".\n";
+  const auto& graphs = results["graphs"];
+  const auto any = [&](const char* what) {
+    for (const auto& g : graphs) {
+      if (g.contains(what)) return true;
+    }
+    return false;
+  };
+  if (any("incremental")) out += "\nIncremental:\n\n" + IncrementalTable(graphs);
+  if (any("batch")) out += "\nBatch:\n\n" + BatchTable(graphs);
+  if (results.contains("growth")) out += "\nGrowth:\n\n" + GrowthTable(results["growth"]);
+  return out;
+}
+
+void UpdateDocument(const std::string& path, const std::string& tables) {
+  std::ifstream in(path);
+  std::stringstream buffer;
+  buffer << in.rdbuf();
+  std::string text = buffer.str();
+  const std::string open = "<!-- bench -->\n", close = "<!-- /bench -->";
+  const std::size_t begin = text.find(open), end = text.find(close);
+  if (!in || begin == std::string::npos || end == std::string::npos) {
+    throw std::runtime_error(path + ": cannot be read, or has no place for the tables");
+  }
+  text.replace(begin + open.size(), end - begin - open.size(), "\n" + tables + "\n");
+  std::ofstream(path) << text;
+}
+
+}  // namespace terse::bench

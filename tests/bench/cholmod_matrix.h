@@ -1,0 +1,93 @@
+#pragma once
+// The baseline factorisation: the same H = A'A in CHOLMOD, with its own choice of ordering and of simplicial or
+// supernodal factorisation.
+
+#include <cholmod.h>
+
+#include <vector>
+
+#include "terse/core/gauge.h"
+#include "terse/core/linear_factor.h"
+#include "terse/core/pose_graph.h"
+
+namespace terse::bench {
+
+template <class Pose>
+class CholmodMatrix {
+ public:
+  static constexpr int B = Pose::kDof;
+
+  CholmodMatrix(const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
+    cholmod_start(&common_);
+    const std::size_t n = B * values.size();
+    std::vector<LinearFactor<B>> factors;
+    for (const auto& node : graph.Factors()) {
+      const FactorPoses ends = PosesOf(node.factor);
+      const int i = graph.IndexOf(ends.first), j = graph.IndexOf(ends.second);
+      factors.push_back(
+          Linearize(node.factor, i, j, values[static_cast<std::size_t>(i)], values[static_cast<std::size_t>(j)]));
+    }
+    factors.push_back(Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph))));
+    rhs_ = cholmod_zeros(n, 1, CHOLMOD_REAL, &common_);
+    cholmod_triplet* triplets = cholmod_allocate_triplet(n, n, factors.size() * 3 * B * B, -1, CHOLMOD_REAL, &common_);
+    for (const auto& f : factors) AddFactor(f, *triplets);
+    matrix_ = cholmod_triplet_to_sparse(triplets, 0, &common_);
+    cholmod_free_triplet(&triplets, &common_);
+  }
+  ~CholmodMatrix() {
+    cholmod_free_factor(&factor_, &common_);
+    cholmod_free_sparse(&matrix_, &common_);
+    cholmod_free_dense(&rhs_, &common_);
+    cholmod_finish(&common_);
+  }
+  CholmodMatrix(const CholmodMatrix&) = delete;
+  CholmodMatrix& operator=(const CholmodMatrix&) = delete;
+
+  void Analyze() {
+    cholmod_free_factor(&factor_, &common_);
+    factor_ = cholmod_analyze(matrix_, &common_);
+  }
+  void Factorize() { cholmod_factorize(matrix_, factor_, &common_); }
+  // The largest scalar of H^-1 b.
+  double Solve() {
+    cholmod_dense* x = cholmod_solve(CHOLMOD_A, factor_, rhs_, &common_);
+    const double largest = cholmod_norm_dense(x, 0, &common_);
+    cholmod_free_dense(&x, &common_);
+    return largest;
+  }
+
+ private:
+  static void Add(cholmod_triplet& triplets, int i, int j, const Matrix<B, B>& H) {
+    for (int c = 0; c < B; ++c) {
+      for (int r = 0; r < B; ++r) {
+        const int row = B * i + r, column = B * j + c;
+        if (row < column) continue;
+        static_cast<int*>(triplets.i)[triplets.nnz] = row;
+        static_cast<int*>(triplets.j)[triplets.nnz] = column;
+        static_cast<double*>(triplets.x)[triplets.nnz++] = H(r, c);
+      }
+    }
+  }
+  void AddFactor(const LinearFactor<B>& f, cholmod_triplet& triplets) {
+    double* b = static_cast<double*>(rhs_->x);
+    const auto add_rhs = [&](int i, const Matrix<B, B>& A) {
+      Eigen::Map<Vector<B>>(b + static_cast<std::ptrdiff_t>(B) * i) -= A.transpose() * f.residual;
+    };
+    Add(triplets, f.first, f.first, f.A_first.transpose() * f.A_first);
+    add_rhs(f.first, f.A_first);
+    if (f.second < 0) return;
+    Add(triplets, f.second, f.second, f.A_second.transpose() * f.A_second);
+    add_rhs(f.second, f.A_second);
+    const bool forward = f.first > f.second;
+    const Matrix<B, B> across =
+        forward ? Matrix<B, B>(f.A_first.transpose() * f.A_second) : Matrix<B, B>(f.A_second.transpose() * f.A_first);
+    Add(triplets, forward ? f.first : f.second, forward ? f.second : f.first, across);
+  }
+
+  cholmod_common common_{};
+  cholmod_sparse* matrix_ = nullptr;
+  cholmod_dense* rhs_ = nullptr;
+  cholmod_factor* factor_ = nullptr;
+};
+
+}  // namespace terse::bench
