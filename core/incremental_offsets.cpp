@@ -20,7 +20,7 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 constexpr double kClimb = 4, kLeastShare = 0.05;
 // A step that lowers chi2 by this share may move the map so far that relinearisation does not wait for the interval;
 // it does not if the linearisation errors are this many times what is tolerated.
-constexpr double kUrgent = 1e-2, kUrgentError = 10;
+const double kUrgent = getenv("U") ? atof(getenv("U")) : 1e-2, kUrgentError = getenv("UE") ? atof(getenv("UE")) : 10;
 
 }  // namespace
 
