@@ -121,7 +121,8 @@ std::string BatchTable(const nlohmann::json& graphs) {
 }
 
 std::string GrowthTable(const nlohmann::json& runs) {
-  Table table({"poses", "links back", "factors", "up to step", "median ms", "p99 ms", "worst ms", "total s", "peak MB"});
+  Table table(
+      {"poses", "links back", "factors", "up to step", "median ms", "p99 ms", "worst ms", "total s", "peak MB"});
   for (const auto& run : runs) {
     for (const auto& d : run["decades"]) {
       table.Add({std::to_string(run["poses"].get<long>()), run["longest_link"],

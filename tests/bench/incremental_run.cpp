@@ -31,7 +31,7 @@ GraphUpdate<Pose> UpdateOf(const PoseGraph<Pose>& graph, const ArrivalStep& step
 template <class Pose>
 struct Samples {
   double gap_sum = 0, worst_gap = 0, final_gap = 0, chi2 = 0, cholmod_seconds = 0, cholmod_last = 0;
-  int gaps = 0;
+  nlohmann::json gaps = nlohmann::json::array();  // [poses, gap]
 
   void Gap(const IncrementalSolver<Pose>& solver) {
     BatchOptions options;
@@ -43,7 +43,7 @@ struct Samples {
     final_gap = chi2 / optimum.chi2 - 1;
     worst_gap = std::max(worst_gap, final_gap);
     gap_sum += final_gap;
-    ++gaps;
+    gaps.push_back({solver.Graph().Poses().size(), final_gap});
   }
   void Cholmod(const IncrementalSolver<Pose>& solver) {
     CholmodMatrix<Pose> matrix(solver.Graph(), solver.LinearizationPoints());
@@ -97,16 +97,18 @@ nlohmann::json RunIncremental(const PoseGraph<Pose>& graph, int interval) {
     ++sampled_steps;
   }
   const PhaseSeconds& phases = solver.Seconds();
-  nlohmann::json json = {{"steps", steps.size()},
-                         {"chi2", samples.chi2},
-                         {"mean_gap", samples.gaps > 0 ? samples.gap_sum / samples.gaps : 0},
-                         {"worst_gap", samples.worst_gap},
-                         {"final_gap", samples.final_gap},
-                         {"interval", interval},
-                         {"factor_flops", flops},
-                         {"solve_flops", solve_flops},
-                         {"gflops_per_second", phases.factor > 0 ? 1e-9 * flops / phases.factor : 0},
-                         {"checksum", checksum}};
+  nlohmann::json json = {
+      {"steps", steps.size()},
+      {"chi2", samples.chi2},
+      {"mean_gap", samples.gaps.empty() ? 0 : samples.gap_sum / static_cast<double>(samples.gaps.size())},
+      {"worst_gap", samples.worst_gap},
+      {"final_gap", samples.final_gap},
+      {"gaps", samples.gaps},
+      {"interval", interval},
+      {"factor_flops", flops},
+      {"solve_flops", solve_flops},
+      {"gflops_per_second", phases.factor > 0 ? 1e-9 * flops / phases.factor : 0},
+      {"checksum", checksum}};
   times.Write(json);
   const double parts = phases.order + phases.linearise + phases.factor + phases.solve;
   json["phases"] = {{"order", phases.order},        {"linearise", phases.linearise},
