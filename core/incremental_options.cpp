@@ -22,6 +22,10 @@ IncrementalOptions PolicyOptions(Policy policy) {
   IncrementalOptions options;
   if (policy == Policy::kDefault) return options;
   options.carry = Carry::kPoint;
+  options.propagation_threshold = 0;
+  options.partial_neighbours = false;
+  options.guard = false;
+  options.anchor_information = 1;
   options.gate = Gate::kAlways;
   options.max_iterations = policy == Policy::kGn1 ? 1 : 10;
   switch (policy) {

@@ -142,6 +142,7 @@ template <class Pose>
 void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>& update, Plan& plan) const {
   plan.absolute = AbsoluteFactorsAfter(update);
   plan.anchor_information = AnchorInformation<Pose>(plan.absolute);
+  if (options_.anchor_information) plan.anchor_information.setConstant(*options_.anchor_information);
   if (anchor_slot_ < 0) {
     plan.adds_anchor = !graph_.Poses().empty() || !update.poses.empty();
     if (plan.adds_anchor) plan.changes.added.push_back(Anchor<B>(0, plan.anchor_information));

@@ -17,8 +17,9 @@ namespace terse {
 
 // kOffset: estimate = linearisation point + d. Back-substitution reports every step in the estimate; poses whose d
 //   outgrew its tolerance are relinearised when the interval comes round.
-// kPoint: the estimate is the linearisation point. Poses whose step exceeds the step tolerance move and are
-//   relinearised, the rest of the step is dropped (A, Eqs. 17-18).
+// kPoint: the estimate is the linearisation point. While any step exceeds the step tolerance, the poses move and are
+//   relinearised: all of them, or, if partial, those above it while the rest of the step is dropped (A, Eqs. 17-18).
+//   With the gate closed only the new poses take part, by their share of the full Gauss-Newton step.
 enum class Carry { kOffset, kPoint };
 
 // What has to exceed the gate's threshold for the map to be optimised in a step.
@@ -26,7 +27,7 @@ enum class Gate {
   kNewtonDecrement,    // predicted decrease of chi2 that the estimate does not have yet; see DecreaseScale
   kMutualInformation,  // gain of the new factors about what was known, 1/2 ln |I + A Sigma A'|, nats
   kLogDeterminant,     // eta_t - N_t / N_{t-1} eta_{t-1}, eta = 1/2 ln |H|, N scalars: A's published code, not its Eq. 6
-  kLoopClosure,        // a new relative factor between known poses whose ids differ by more than the threshold
+  kLoopClosure,        // a new relative factor between known poses that came in more than the threshold poses apart
   kAlways,
   kNever,
 };
@@ -58,7 +59,11 @@ struct IncrementalOptions {
   double step_radians = 1e-3;
   int max_iterations = 10;
   // kPoint: only the poses that the last iteration moved, and their neighbours, take part in the next; else all do.
+  // Without neighbours as in A's published code: then a pose that has settled stays until the next step.
   bool partial = false;
+  bool partial_neighbours = true;
+  // kPoint: a step that raises chi2 is replaced by the full Gauss-Newton step, then shortened until it does not.
+  bool guard = true;
 
   // Seconds a step may take; 0: no limit. What does not fit is deferred to later steps, largest expected gain first.
   // Adding the factors themselves is never deferred.
@@ -77,7 +82,7 @@ struct IncrementalOptions {
 // What is wrong with the options, or "".
 std::string FindDefect(const IncrementalOptions& options);
 
-// A's variants, with max_iterations and partial as published; gate threshold and step tolerance are per data set.
+// A's variants as published: no guard, unit anchor; gate threshold and step tolerance are per data set.
 enum class Policy { kDefault, kGn1, kGni, kGniLcg, kGniIgg, kGniSpo, kGniSpoLcg, kGniSpoIgg };
 IncrementalOptions PolicyOptions(Policy policy);
 
@@ -92,8 +97,8 @@ struct StepReport {
   int iterations = 0;     // Gauss-Newton steps taken
   int variables_relinearised = 0;
   int variables_moved = 0;        // whose estimate changed
-  double predicted_decrease = 0;  // of chi2 by this step, linearised
-  double actual_decrease = 0;     // of chi2 over the factors on moved poses; if report_cost
+  double predicted_decrease = 0;  // of chi2 by this step, linearised; kPoint: of the full step if the gate is open
+  double actual_decrease = 0;     // of chi2 over the factors on moved poses; if report_cost, and always in kPoint
   double gain_nats = 0;           // of the new factors about the poses known before
   int deferred_relinearisations = 0;
   int deferred_fronts = 0;  // subtrees that back-substitution left for later
