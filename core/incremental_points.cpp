@@ -169,7 +169,12 @@ void IncrementalSolver<Pose>::MovePoints(int new_poses, Clock::time_point start,
   }
   internal::PaperFlops paper;
   if (options_.report_paper_flops) {
-    paper = internal::PaperFlops(factor_);
+    double seconds = 0;
+    {
+      ScopedTimer timer(seconds);
+      paper = internal::PaperFlops(factor_);
+    }
+    report.seconds -= seconds;
     report.paper_update_flops = paper.Added(variables - new_poses);
   }
   deferred_ = false;

@@ -27,7 +27,7 @@ IncrementalSolver<Pose>::IncrementalSolver(const IncrementalOptions& options) : 
 
 template <class Pose>
 StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
-  const auto start = std::chrono::steady_clock::now();
+  const auto start = Clock::now();
   StepReport report;
   Validate(update);
   Plan plan;
@@ -49,6 +49,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   } else {
     OptimizeOffsets(start, report);
   }
+  report.seconds += std::chrono::duration<double>(Clock::now() - start).count();
   return report;
 }
 

@@ -1,6 +1,5 @@
 #include "terse/core/replay.h"
 
-#include "stopwatch.h"
 #include "terse/core/initial_values.h"
 
 namespace terse {
@@ -24,10 +23,7 @@ void Replay(const PoseGraph<Pose>& graph, const ReplayOptions& options, Incremen
     for (const int f : steps[k].factors) {
       update.factors.push_back(graph.Factors()[static_cast<std::size_t>(f)].factor);
     }
-    {
-      internal::ScopedTimer timer(step.seconds);
-      step.report = solver.Update(update);
-    }
+    step.report = solver.Update(update);
     if (after_step) after_step(step);
   }
 }

@@ -87,11 +87,6 @@ Row RunPolicy(const PoseGraph<SE2>& graph, const std::vector<SE2>& optimum, cons
   const ReplayOptions replay{ArrivalUnit::kEdge, stored_values};
   IncrementalOptions options = OptionsFor(policy, set);
   Progress progress(row.graph + " " + row.initial + " " + row.policy, static_cast<long>(graph.Factors().size()), quiet);
-  {
-    IncrementalSolver<SE2> solver(options);
-    Replay<SE2>(graph, replay, solver, [&](const ReplayStep& step) { row.seconds += step.seconds; });
-  }
-  // Once more for all else, since counting the paper's way takes longer than the work that is counted.
   options.report_paper_flops = options.carry == Carry::kPoint;
   IncrementalSolver<SE2> solver(options);
   double scalars = 0, paper_update = 0, paper_solve = 0;
@@ -112,15 +107,24 @@ Row RunPolicy(const PoseGraph<SE2>& graph, const std::vector<SE2>& optimum, cons
     paper_solve += step.report.paper_solve_flops / step.steps;
     row.update_flops += step.report.flops / step.steps;
     row.solve_flops += step.report.solve_flops / step.steps;
+    row.seconds += step.report.seconds;
     progress.Update(step.index + 1);
   });
   if (options.report_paper_flops) row.paper_update = paper_update, row.paper_solve = paper_solve;
   return row;
 }
 
+// The better of two starts: the files' values lead to a local minimum on MIT.
+BatchResult<SE2> BatchOptimum(const PoseGraph<SE2>& graph) {
+  BatchResult<SE2> best = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kFile));
+  BatchResult<SE2> other = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kChordal));
+  if (other.Converged() && (!best.Converged() || other.chi2 < best.chi2)) best = std::move(other);
+  if (!best.Converged()) throw NumericalError("no batch optimum to compare with: " + best.message);
+  return best;
+}
+
 std::vector<Row> RunGraph(const PoseGraph<SE2>& graph, const DataSet& set, const TableOptions& options) {
-  const BatchResult<SE2> optimum = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kFile));
-  if (!optimum.Converged()) throw NumericalError("no batch optimum to compare with: " + optimum.message);
+  const BatchResult<SE2> optimum = BatchOptimum(graph);
   std::vector<Row> rows;
   for (const bool stored : {true, false}) {
     if (options.initial == (stored ? Initial::kCompose : Initial::kFile)) continue;

@@ -75,9 +75,12 @@ struct IncrementalOptions {
 
   // Fill in StepReport::actual_decrease (evaluates the factors on moved poses once more).
   bool report_cost = false;
-  // Fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
+  // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
   bool report_paper_flops = false;
 };
+
+// A threshold to start from: 1e-5 of chi2, 0.1 nat, 1 (no value suits all graphs), 4 poses.
+double DefaultThreshold(Gate gate);
 
 // What is wrong with the options, or "".
 std::string FindDefect(const IncrementalOptions& options);
@@ -105,6 +108,7 @@ struct StepReport {
   double flops = 0;         // factorisation: squared column counts, and 4 k times the entries for rank-k updates
   double solve_flops = 0;   // back-substitution: twice the entries visited
   double paper_update_flops = 0, paper_solve_flops = 0;
+  double seconds = 0;  // of the update, without counting the paper's flops
 };
 
 }  // namespace terse

@@ -17,7 +17,6 @@ struct ReplayOptions {
 
 struct ReplayStep {
   int index = 0, steps = 0;
-  double seconds = 0;  // of the update alone
   StepReport report;
 };
 
