@@ -89,8 +89,7 @@ void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>& update, const 
   const double log_det = factor_.LogDeterminant();
   if (before.variables > 0) {
     const double conditional =
-        update.poses.empty() ? 0
-                             : ConditionalLogDeterminant(plan.changes.added, before.variables, factor_.Variables());
+        update.poses.empty() ? 0 : ConditionalLogDeterminant(plan.changes.added, before.variables, factor_.Variables());
     report.gain_nats = 0.5 * (log_det - before.log_determinant - conditional);
   }
   const double remaining = RemainingDecrease();

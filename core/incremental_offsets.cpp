@@ -141,12 +141,12 @@ void IncrementalSolver<Pose>::BackSubstitute(StepReport& report) {
   outgrown_.erase(end, outgrown_.end());
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                   \
-  template LinearFactor<Pose::kDof> IncrementalSolver<Pose>::LinearizeSlot(int, const PointOf&) const;            \
-  template IncrementalSolver<Pose>::Replacements IncrementalSolver<Pose>::LinearizeAround(                        \
-      const std::map<int, Pose>&) const;                                                                          \
-  template bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>&, Replacements, StepReport&);      \
-  template void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point, StepReport&);                         \
+#define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template LinearFactor<Pose::kDof> IncrementalSolver<Pose>::LinearizeSlot(int, const PointOf&) const;                \
+  template IncrementalSolver<Pose>::Replacements IncrementalSolver<Pose>::LinearizeAround(const std::map<int, Pose>&) \
+      const;                                                                                                          \
+  template bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>&, Replacements, StepReport&);          \
+  template void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point, StepReport&);                             \
   template void IncrementalSolver<Pose>::BackSubstitute(StepReport&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

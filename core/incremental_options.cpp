@@ -48,8 +48,7 @@ IncrementalOptions PolicyOptions(Policy policy) {
     default: break;
   }
   options.gate_threshold = DefaultThreshold(options.gate);
-  options.partial =
-      policy == Policy::kGniSpo || policy == Policy::kGniSpoLcg || policy == Policy::kGniSpoIgg;
+  options.partial = policy == Policy::kGniSpo || policy == Policy::kGniSpoLcg || policy == Policy::kGniSpoIgg;
   return options;
 }
 

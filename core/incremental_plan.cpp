@@ -192,12 +192,13 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
   }
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                              \
-  template void IncrementalSolver<Pose>::Validate(const GraphUpdate<Pose>&) const;                           \
-  template void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>&, Plan&) const;                 \
-  template void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>&, Plan&) const;                  \
-  template void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>&, Plan&) const;                   \
-  template void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>&, const Plan&, StepReport&, const std::vector<int>&);
+#define TERSE_INSTANTIATE(Pose)                                                                     \
+  template void IncrementalSolver<Pose>::Validate(const GraphUpdate<Pose>&) const;                  \
+  template void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>&, Plan&) const;       \
+  template void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>&, Plan&) const;        \
+  template void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>&, Plan&) const;         \
+  template void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>&, const Plan&, StepReport&, \
+                                                const std::vector<int>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

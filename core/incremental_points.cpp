@@ -90,9 +90,14 @@ typename IncrementalSolver<Pose>::Steps IncrementalSolver<Pose>::SolveSteps(cons
   std::vector<int> solved, fronts;
   if (scope == nullptr) {
     solved = factor_.Solve(options_.propagation_threshold);
-    for (const int v : solved) fronts.push_back(factor_.FrontOf(v));
-    std::sort(fronts.begin(), fronts.end());
-    fronts.erase(std::unique(fronts.begin(), fronts.end()), fronts.end());
+    // Those whose fronts were visited in vain are not known; without a threshold all are.
+    if (options_.propagation_threshold > 0) {
+      for (const int v : solved) fronts.push_back(factor_.FrontOf(v));
+      std::sort(fronts.begin(), fronts.end());
+      fronts.erase(std::unique(fronts.begin(), fronts.end()), fronts.end());
+    } else {
+      report.solve_flops += 2 * static_cast<double>(factor_.FactorNonzeros());
+    }
   } else {
     fronts = AncestorClosure(factor_, *scope);
     solved = SolveOn(factor_, fronts);
@@ -199,8 +204,7 @@ void IncrementalSolver<Pose>::MovePoints(int new_poses, Clock::time_point start,
     ++report.iterations;
     for (const auto& step : steps) moved.push_back(step.first);
     if (options_.report_paper_flops) {
-      report.paper_update_flops +=
-          all && !options_.partial ? paper.Updated() : paper.Updated(NextScope(steps, false));
+      report.paper_update_flops += all && !options_.partial ? paper.Updated() : paper.Updated(NextScope(steps, false));
     }
     if (options_.partial) {
       scope = NextScope(steps, options_.partial_neighbours && everything);
@@ -211,11 +215,11 @@ void IncrementalSolver<Pose>::MovePoints(int new_poses, Clock::time_point start,
   report.variables_moved = static_cast<int>(std::unique(moved.begin(), moved.end()) - moved.begin());
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                               \
-  template bool IncrementalSolver<Pose>::ExceedsStepTolerance(const Vector<B>&) const;                        \
+#define TERSE_INSTANTIATE(Pose)                                                                                      \
+  template bool IncrementalSolver<Pose>::ExceedsStepTolerance(const Vector<B>&) const;                               \
   template IncrementalSolver<Pose>::Steps IncrementalSolver<Pose>::SolveSteps(const std::vector<int>*, StepReport&); \
-  template bool IncrementalSolver<Pose>::MoveBy(Steps&, StepReport&);                                         \
-  template std::vector<int> IncrementalSolver<Pose>::NextScope(const Steps&, bool) const;                     \
+  template bool IncrementalSolver<Pose>::MoveBy(Steps&, StepReport&);                                                \
+  template std::vector<int> IncrementalSolver<Pose>::NextScope(const Steps&, bool) const;                            \
   template void IncrementalSolver<Pose>::MovePoints(int, Clock::time_point, StepReport&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

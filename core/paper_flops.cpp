@@ -35,10 +35,9 @@ Pattern PatternOf(const BlockCholesky<B>& factor) {
     const Matrix<B, B> product = A.transpose() * C;
     for (int a = 0; a < P::kCount; ++a) {
       for (int c = 0; c < P::kCount; ++c) {
-        const bool zero = product
-                              .block(P::kBegin[a], P::kBegin[c], P::kBegin[a + 1] - P::kBegin[a],
-                                     P::kBegin[c + 1] - P::kBegin[c])
-                              .isZero(0);
+        const bool zero =
+            product.block(P::kBegin[a], P::kBegin[c], P::kBegin[a + 1] - P::kBegin[a], P::kBegin[c + 1] - P::kBegin[c])
+                .isZero(0);
         const int i = P::kCount * v + a, j = P::kCount * w + c;
         if (zero || i == j) continue;
         coupled[At(i)].push_back(j);

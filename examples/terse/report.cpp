@@ -128,7 +128,8 @@ const char* Name(FactorPath path) {
 }  // namespace
 
 void WriteStepsHeader(std::ostream& out) {
-  out << "step,poses,factors,factor_ids,path,fronts_updated,fronts_refactored,variables_refactored,gate_open,gate_value,"
+  out << "step,poses,factors,factor_ids,path,fronts_updated,fronts_refactored,variables_refactored,gate_open,gate_"
+         "value,"
          "iterations,variables_relinearised,variables_moved,predicted_decrease,actual_decrease,gain_nats,"
          "deferred_relinearisations,deferred_fronts,flops,solve_flops,paper_update_flops,paper_solve_flops,seconds\n";
 }

@@ -37,7 +37,8 @@ struct Stats {
 nlohmann::ordered_json ToJson(const Stats& stats);
 void WriteJson(const nlohmann::ordered_json& json, const std::string& path);
 
-// Comma-separated values, a row per step of an incremental run: docs/outputs.md. `poses` and `factors`: in the graph by then.
+// Comma-separated values, a row per step of an incremental run: docs/outputs.md. `poses` and `factors`: in the graph by
+// then.
 void WriteStepsHeader(std::ostream& out);
 void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, std::ostream& out);
 

@@ -1,4 +1,7 @@
+#include <cmath>
+#include <cstdlib>
 #include <iostream>
+#include <optional>
 
 #include "commands.h"
 #include "policy.h"
@@ -174,7 +177,8 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
 }
 
 void Solve(const SolveOptions& options) {
-  for (const auto& path : {options.output, options.trajectory, options.covariance_output, options.stats, options.steps}) {
+  for (const auto& path :
+       {options.output, options.trajectory, options.covariance_output, options.stats, options.steps}) {
     RequireWritable(path);
   }
   const double start = SecondsNow();
@@ -187,28 +191,42 @@ void Solve(const SolveOptions& options) {
   });
 }
 
+// CLI11's own checks let NaN and infinity pass.
+std::string FindSizeDefect(const std::string& text) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  return *end == 0 && !text.empty() && std::isfinite(value) && value >= 0 ? "" : text + " is not a number from 0 up";
+}
+std::string FindNumberDefect(const std::string& text) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  return *end == 0 && !text.empty() && std::isfinite(value) ? "" : text + " is not a finite number";
+}
+
 // Options that only the incremental mode has.
 std::vector<CLI::Option*> AddStepOptions(CLI::App& command, SolveOptions& options) {
   std::vector<CLI::Option*> out;
-  out.push_back(AddChoice(command, "--policy", options.policy, PolicyNames(),
-                          "How much is re-optimised after each step: this program's way, or one of Arablouei's variants"));
-  out.push_back(AddChoice(command, "--gate", options.gate, GateNames(),
-                          "What has to exceed the gate's threshold for a step to be optimised (the policy's by default)"));
+  out.push_back(
+      AddChoice(command, "--policy", options.policy, PolicyNames(),
+                "How much is re-optimised after each step: this program's way, or one of Arablouei's variants"));
+  out.push_back(
+      AddChoice(command, "--gate", options.gate, GateNames(),
+                "What has to exceed the gate's threshold for a step to be optimised (the policy's by default)"));
   out.push_back(command
                     .add_option("--gate-threshold", options.gate_threshold,
                                 "In the gate's unit: share of chi2, nats, nats, poses between the ends of an edge")
-                    ->check(CLI::Number)
+                    ->check(FindNumberDefect)
                     ->type_name("X"));
   out.push_back(command
                     .add_option("--step-tolerance", options.step_tolerance,
                                 "Steps below both move nothing (default policy: relinearise nothing)")
                     ->expected(2)
-                    ->check(CLI::NonNegativeNumber)
+                    ->check(FindSizeDefect)
                     ->type_name("METRES RADIANS"));
   out.push_back(command
                     .add_option("--step-budget-ms", options.step_budget_ms,
                                 "Time for a step; what does not fit is left to later steps")
-                    ->check(CLI::PositiveNumber)
+                    ->check(FindSizeDefect)
                     ->type_name("MS"));
   out.push_back(command.add_option("--steps", options.steps, "Write a row per step (CSV)")->type_name("PATH"));
   out.push_back(command.add_flag("--paper-flops", options.paper_flops,
@@ -262,6 +280,9 @@ void AddSolveCommand(CLI::App& app) {
       }
     }
     options->gate_given = step_options[1]->count() > 0;
+    if (step_options[4]->count() > 0 && options->step_budget_ms == 0) {
+      throw CLI::ValidationError("--step-budget-ms", "a step needs some time");
+    }
     if (options->paper_flops && (options->policy == Policy::kDefault || options->steps.empty())) {
       throw CLI::ValidationError("--paper-flops", "needs --steps and a --policy other than default");
     }

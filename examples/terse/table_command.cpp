@@ -43,7 +43,7 @@ const std::vector<DataSet>& DataSets() {
 
 struct Row {
   std::string graph, initial, policy;
-  int steps = 0, optimised = 0;  // gates that opened
+  int steps = 0, optimised = 0;    // gates that opened
   double chi2 = 0, mean_chi2 = 0;  // per measured scalar
   double ate = 0, mean_ate = 0;    // metres
   std::optional<double> paper_update, paper_solve;
@@ -208,9 +208,11 @@ void AddTableCommand(CLI::App& app) {
   table->require_subcommand(1);
   auto options = std::make_shared<TableOptions>();
   CLI::App* command = table->add_subcommand(
-      "igg-spo", "Information-guided gating and selective partial optimisation (Arablouei): its seven variants edge by "
-                 "edge on its six graphs, and the default policy");
-  command->add_option("DIR", options->folder, "Folder with MIT.g2o, FR079.g2o, CSAIL.g2o, Intel.g2o, FRH.g2o, MIT-P.g2o")
+      "igg-spo",
+      "Information-guided gating and selective partial optimisation (Arablouei): its seven variants edge by "
+      "edge on its six graphs, and the default policy");
+  command
+      ->add_option("DIR", options->folder, "Folder with MIT.g2o, FR079.g2o, CSAIL.g2o, Intel.g2o, FRH.g2o, MIT-P.g2o")
       ->required();
   AddChoice(*command, "--initial", options->initial,
             {{"file", Initial::kFile}, {"compose", Initial::kCompose}, {"both", Initial::kBoth}},
@@ -224,7 +226,8 @@ void AddTableCommand(CLI::App& app) {
   command->add_flag("--json", options->json, "Print JSON");
   command->add_flag("--quiet", options->quiet, "No progress on standard error");
   command->footer(
-      "N-chi2: chi2 per measured scalar. ATE: metres, against the batch optimum. update, solve: the paper's work model, "
+      "N-chi2: chi2 per measured scalar. ATE: metres, against the batch optimum. update, solve: the paper's work "
+      "model, "
       "mean per edge; our: floating-point operations of this program.\n"
       "Example: terse table igg-spo graphs/igg_spo --graphs MIT,FR079 --initial file");
   command->callback([options] { RunIggSpo(*options); });

@@ -26,8 +26,8 @@ enum class Carry { kOffset, kPoint };
 enum class Gate {
   kNewtonDecrement,    // predicted decrease of chi2 that the estimate does not have yet; see DecreaseScale
   kMutualInformation,  // gain of the new factors about what was known, 1/2 ln |I + A Sigma A'|, nats
-  kLogDeterminant,     // eta_t - N_t / N_{t-1} eta_{t-1}, eta = 1/2 ln |H|, N scalars: A's published code, not its Eq. 6
-  kLoopClosure,        // a new relative factor between known poses that came in more than the threshold poses apart
+  kLogDeterminant,  // eta_t - N_t / N_{t-1} eta_{t-1}, eta = 1/2 ln |H|, N scalars: A's published code, not its Eq. 6
+  kLoopClosure,     // a new relative factor between known poses that came in more than the threshold poses apart
   kAlways,
   kNever,
 };
@@ -90,10 +90,10 @@ enum class Policy { kDefault, kGn1, kGni, kGniLcg, kGniIgg, kGniSpo, kGniSpoLcg,
 IncrementalOptions PolicyOptions(Policy policy);
 
 struct StepReport {
-  std::vector<FactorId> factor_ids;  // one per added factor
+  std::vector<FactorId> factor_ids;     // one per added factor
   FactorPath path = FactorPath::kNone;  // of the added and removed factors
-  int fronts_updated = 0;     // by rank-k update
-  int fronts_refactored = 0;  // all iterations
+  int fronts_updated = 0;               // by rank-k update
+  int fronts_refactored = 0;            // all iterations
   int variables_refactored = 0;
   bool gate_open = true;
   double gate_value = 0;  // in the gate's unit

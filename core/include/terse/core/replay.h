@@ -20,8 +20,8 @@ struct ReplayStep {
   StepReport report;
 };
 
-// Calls `after_step` when the solver has taken a step in. Throws std::invalid_argument if the graph is not connected, or
-// lacks a value where they are asked for, and what IncrementalSolver::Update throws.
+// Calls `after_step` when the solver has taken a step in. Throws std::invalid_argument if the graph is not connected,
+// or lacks a value where they are asked for, and what IncrementalSolver::Update throws.
 template <class Pose>
 void Replay(const PoseGraph<Pose>& graph, const ReplayOptions& options, IncrementalSolver<Pose>& solver,
             const std::function<void(const ReplayStep&)>& after_step = nullptr);
