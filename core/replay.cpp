@@ -6,7 +6,7 @@ namespace terse {
 
 template <class Pose>
 void Replay(const PoseGraph<Pose>& graph, const ReplayOptions& options, IncrementalSolver<Pose>& solver,
-            const std::function<void(const ReplayStep&)>& after_step) {
+            const std::function<bool(const ReplayStep&)>& after_step) {
   if (options.stored_values) ComputeInitialValues(graph, InitialValues::kFile);  // throws if one is missing
   const std::vector<ArrivalStep> steps = ArrivalSteps(graph, options.every);
   for (std::size_t k = 0; k < steps.size(); ++k) {
@@ -24,13 +24,13 @@ void Replay(const PoseGraph<Pose>& graph, const ReplayOptions& options, Incremen
       update.factors.push_back(graph.Factors()[static_cast<std::size_t>(f)].factor);
     }
     step.report = solver.Update(update);
-    if (after_step) after_step(step);
+    if (after_step && !after_step(step)) return;
   }
 }
 
 template void Replay<SE2>(const PoseGraph<SE2>&, const ReplayOptions&, IncrementalSolver<SE2>&,
-                          const std::function<void(const ReplayStep&)>&);
+                          const std::function<bool(const ReplayStep&)>&);
 template void Replay<SE3>(const PoseGraph<SE3>&, const ReplayOptions&, IncrementalSolver<SE3>&,
-                          const std::function<void(const ReplayStep&)>&);
+                          const std::function<bool(const ReplayStep&)>&);
 
 }  // namespace terse

@@ -90,6 +90,7 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
         WriteStepsRow(step, known.Poses().size(), known.Factors().size(), steps_file->Stream());
       }
       progress->Update(step.index + 1);
+      return true;
     });
   }
   if (steps_file) steps_file->Commit();

@@ -1,9 +1,11 @@
 // Tables of published papers, run again.
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <iomanip>
 #include <iostream>
+#include <optional>
 #include <sstream>
 
 #include "commands.h"
@@ -24,7 +26,7 @@ enum class Initial { kFile, kCompose, kBoth };
 struct TableOptions {
   std::string folder;
   Initial initial = Initial::kBoth;
-  std::vector<std::string> graphs;
+  std::vector<std::string> graphs, policies;
   bool json = false, quiet = false;
 };
 
@@ -109,6 +111,7 @@ Row RunPolicy(const PoseGraph<SE2>& graph, const std::vector<SE2>& optimum, cons
     row.solve_flops += step.report.solve_flops / step.steps;
     row.seconds += step.report.seconds;
     progress.Update(step.index + 1);
+    return true;
   });
   if (options.report_paper_flops) row.paper_update = paper_update, row.paper_solve = paper_solve;
   return row;
@@ -123,6 +126,10 @@ BatchResult<SE2> BatchOptimum(const PoseGraph<SE2>& graph) {
   return best;
 }
 
+bool IsChosen(const std::string& name, const std::vector<std::string>& chosen) {
+  return chosen.empty() || std::find(chosen.begin(), chosen.end(), name) != chosen.end();
+}
+
 std::vector<Row> RunGraph(const PoseGraph<SE2>& graph, const DataSet& set, const TableOptions& options) {
   const BatchResult<SE2> optimum = BatchOptimum(graph);
   std::vector<Row> rows;
@@ -130,6 +137,7 @@ std::vector<Row> RunGraph(const PoseGraph<SE2>& graph, const DataSet& set, const
     if (options.initial == (stored ? Initial::kCompose : Initial::kFile)) continue;
     for (const auto& [name, policy] : PolicyNames()) {
       if (policy == Policy::kDefault && stored) continue;  // has no counterpart in the paper
+      if (!IsChosen(name, options.policies)) continue;
       rows.push_back(RunPolicy(graph, optimum.T_world_body, set, policy, stored, options.quiet));
     }
   }
@@ -180,20 +188,21 @@ nlohmann::ordered_json ToJson(const Row& row) {
 void RunIggSpo(const TableOptions& options) {
   std::vector<std::pair<const DataSet*, std::string>> inputs;
   for (const DataSet& set : DataSets()) {
-    const auto& chosen = options.graphs;
-    if (!chosen.empty() && std::find(chosen.begin(), chosen.end(), set.name) == chosen.end()) continue;
+    if (!IsChosen(set.name, options.graphs)) continue;
     inputs.emplace_back(&set, (std::filesystem::path(options.folder) / (set.name + ".g2o")).string());
     // Before the first of many minutes, not after them.
     if (!std::filesystem::exists(inputs.back().second)) throw FileError(inputs.back().second, 0, "no such file");
   }
   nlohmann::ordered_json json = nlohmann::ordered_json::array();
-  if (!options.json) PrintHeader();
+  bool has_header = options.json;
   for (const auto& [set, path] : inputs) {
     const GraphFile file = ReadGraph(path);
     const auto* graph = std::get_if<PoseGraph<SE2>>(&file.graph);
     if (graph == nullptr) throw FileError(path, 0, "not a 2D graph");
     AddPathToErrors(path, [&, &data = *set] {
       const std::vector<Row> rows = RunGraph(*graph, data, options);
+      if (!has_header) PrintHeader();
+      has_header = true;
       if (!options.json) PrintRows(rows);
       for (const Row& row : rows) json.push_back(ToJson(row));
     });
@@ -220,6 +229,12 @@ void AddTableCommand(CLI::App& app) {
   std::vector<std::string> names;
   for (const DataSet& set : DataSets()) names.push_back(set.name);
   command->add_option("--graphs", options->graphs, "Only these graphs")
+      ->check(CLI::IsMember(names))
+      ->delimiter(',')
+      ->type_name("NAME,...");
+  names.clear();
+  for (const auto& policy : PolicyNames()) names.push_back(policy.first);
+  command->add_option("--policies", options->policies, "Only these policies")
       ->check(CLI::IsMember(names))
       ->delimiter(',')
       ->type_name("NAME,...");

@@ -12,11 +12,10 @@
 #include <functional>
 #include <memory>
 
-#include "terse/core/arrival.h"
 #include "terse/core/generate.h"
 #include "terse/core/graph_file.h"
-#include "terse/core/incremental_solver.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/replay.h"
 #include "terse/covariance/selected_inverse.h"
 #include "testing.h"
 
@@ -104,15 +103,9 @@ void RegisterGraph(const std::string& name, std::shared_ptr<const PoseGraph<Pose
     }
   });
   add("Incremental/terse", [=](benchmark::State& state) {
-    const auto steps = ArrivalSteps(*graph, ArrivalUnit::kPose);
     for (auto _ : state) {
       IncrementalSolver<Pose> solver;
-      for (const ArrivalStep& step : steps) {
-        GraphUpdate<Pose> update;
-        for (const int p : step.poses) update.poses.push_back({graph->Poses()[static_cast<std::size_t>(p)].id});
-        for (const int f : step.factors) update.factors.push_back(graph->Factors()[static_cast<std::size_t>(f)].factor);
-        solver.Update(update);
-      }
+      Replay<Pose>(*graph, {}, solver);
       state.counters["chi2"] = solver.Chi2();
     }
   });

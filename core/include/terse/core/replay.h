@@ -20,10 +20,10 @@ struct ReplayStep {
   StepReport report;
 };
 
-// Calls `after_step` when the solver has taken a step in. Throws std::invalid_argument if the graph is not connected,
-// or lacks a value where they are asked for, and what IncrementalSolver::Update throws.
+// Calls `after_step` when the solver has taken a step in; it returns false to stop. Throws std::invalid_argument if the
+// graph is not connected, or lacks a value where they are asked for, and what IncrementalSolver::Update throws.
 template <class Pose>
 void Replay(const PoseGraph<Pose>& graph, const ReplayOptions& options, IncrementalSolver<Pose>& solver,
-            const std::function<void(const ReplayStep&)>& after_step = nullptr);
+            const std::function<bool(const ReplayStep&)>& after_step = nullptr);
 
 }  // namespace terse
