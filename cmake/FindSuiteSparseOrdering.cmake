@@ -1,7 +1,7 @@
-# SuiteSparse::Ordering: the minimum-degree orderings AMD, CAMD and CCOLAMD (all BSD). Include <amd.h> and so on.
+# SuiteSparse::Ordering: the minimum-degree orderings AMD, CAMD, COLAMD and CCOLAMD (all BSD). Include <amd.h> and so on.
 find_path(SuiteSparseOrdering_INCLUDE_DIR ccolamd.h PATH_SUFFIXES suitesparse)
 set(libraries)
-foreach(name amd camd ccolamd suitesparseconfig)
+foreach(name amd camd ccolamd colamd suitesparseconfig)
   find_library(SuiteSparseOrdering_${name}_LIBRARY ${name})
   mark_as_advanced(SuiteSparseOrdering_${name}_LIBRARY)
   list(APPEND libraries SuiteSparseOrdering_${name}_LIBRARY)

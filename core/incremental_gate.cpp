@@ -81,9 +81,9 @@ bool IncrementalSolver<Pose>::ClosesLoop(const GraphUpdate<Pose>& update) const 
   const int old = factor_.Variables() - static_cast<int>(update.poses.size());
   for (const auto& factor : update.factors) {
     const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor);
-    if (f == nullptr || graph_.IndexOf(f->from) >= old || graph_.IndexOf(f->to) >= old) continue;
-    const double gap = std::abs(static_cast<double>(f->from.value) - static_cast<double>(f->to.value));
-    if (gap > options_.gate_threshold) return true;
+    if (f == nullptr) continue;
+    const auto [low, high] = std::minmax({graph_.IndexOf(f->from), graph_.IndexOf(f->to)});
+    if (high < old && high - low > options_.gate_threshold) return true;
   }
   return false;
 }
@@ -94,8 +94,7 @@ void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>& update, const 
   const double log_det = factor_.LogDeterminant();
   if (before.variables > 0) {
     const double conditional =
-        update.poses.empty() ? 0
-                             : ConditionalLogDeterminant(plan.changes.added, before.variables, factor_.Variables());
+        update.poses.empty() ? 0 : ConditionalLogDeterminant(plan.changes.added, before.variables, factor_.Variables());
     report.gain_nats = 0.5 * (log_det - before.log_determinant - conditional);
   }
   const double remaining = RemainingDecrease();
@@ -113,8 +112,8 @@ void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>& update, const 
     case Gate::kMutualInformation: report.gate_value = report.gain_nats; break;
     case Gate::kLogDeterminant: {
       // eta_{t-1} as it was before the iterations of the previous step.
-      const double ratio =
-          eta_variables_ > 0 ? static_cast<double>(factor_.Variables()) / static_cast<double>(eta_variables_) : 0;
+      if (eta_variables_ == 0) break;
+      const double ratio = static_cast<double>(factor_.Variables()) / static_cast<double>(eta_variables_);
       report.gate_value = 0.5 * log_det - ratio * eta_;
       break;
     }
@@ -132,7 +131,7 @@ void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>& update, const 
   }
 }
 
-// A closed gate: each new pose goes to the minimum of its factors, everything before it held.
+// Carry::kOffset, a closed gate: each new pose goes to the minimum of its factors, everything before it held.
 template <class Pose>
 void IncrementalSolver<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
   const int variables = factor_.Variables();
@@ -159,10 +158,6 @@ void IncrementalSolver<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
     factor_.SetSolution(v, d);
     for (const int slot : factor_.SlotsOf(v)) linear_cost_ += LinearCost(factor_.FactorAt(slot), factor_.Solution());
     ++report.variables_moved;
-    if (options_.carry == Carry::kPoint) {
-      const std::map<int, Pose> moved = {{v, linearization_points_[At(v)].Retract(d)}};
-      Relinearize(moved, LinearizeAround(moved), report);
-    }
   }
   report.predicted_decrease -= RemainingDecrease();
 }

@@ -194,6 +194,7 @@ void IncrementalSolver<Pose>::BackSubstitute(StepReport& report) {
   ScopedTimer timer(seconds_.solve);
   const std::vector<int> moved = factor_.Solve(options_.propagation_tolerance * CostUnit());
   linear_cost_ = LinearMinimum();
+  report.solve_flops += factor_.LastSolve().flops;
   report.variables_moved += static_cast<int>(moved.size());
   for (const int v : moved) {
     if (is_moved_[At(v)] != 0 || !IsOutgrown(v)) continue;
@@ -202,12 +203,12 @@ void IncrementalSolver<Pose>::BackSubstitute(StepReport& report) {
   }
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                   \
-  template LinearFactor<Pose::kDof> IncrementalSolver<Pose>::LinearizeSlot(int, const PointOf&) const;            \
-  template IncrementalSolver<Pose>::Replacements IncrementalSolver<Pose>::LinearizeAround(                        \
-      const std::map<int, Pose>&) const;                                                                          \
-  template bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>&, Replacements, StepReport&);      \
-  template void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point, StepReport&);                         \
+#define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template LinearFactor<Pose::kDof> IncrementalSolver<Pose>::LinearizeSlot(int, const PointOf&) const;                \
+  template IncrementalSolver<Pose>::Replacements IncrementalSolver<Pose>::LinearizeAround(const std::map<int, Pose>&) \
+      const;                                                                                                          \
+  template bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>&, Replacements, StepReport&);          \
+  template void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point, StepReport&);                             \
   template void IncrementalSolver<Pose>::BackSubstitute(StepReport&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -4,6 +4,18 @@
 
 namespace terse {
 
+double DefaultThreshold(Gate gate) {
+  switch (gate) {
+    case Gate::kNewtonDecrement: return 1e-5;
+    case Gate::kMutualInformation: return 0.1;
+    case Gate::kLogDeterminant: return 1;
+    case Gate::kLoopClosure: return 4;
+    case Gate::kAlways:
+    case Gate::kNever: break;
+  }
+  return 0;
+}
+
 std::string FindDefect(const IncrementalOptions& options) {
   const auto is_size = [](double x) { return std::isfinite(x) && x >= 0; };
   if (std::isnan(options.gate_threshold)) return "the gate's threshold is not a number";
@@ -22,21 +34,21 @@ IncrementalOptions PolicyOptions(Policy policy) {
   IncrementalOptions options;
   if (policy == Policy::kDefault) return options;
   options.carry = Carry::kPoint;
+  options.propagation_tolerance = 0;
+  options.partial_neighbours = false;
+  options.guard = false;
+  options.anchor_information = 1;
   options.gate = Gate::kAlways;
   options.max_iterations = policy == Policy::kGn1 ? 1 : 10;
   switch (policy) {
     case Policy::kGniLcg:
-    case Policy::kGniSpoLcg:
-      options.gate = Gate::kLoopClosure;
-      options.gate_threshold = 4;
-      break;
+    case Policy::kGniSpoLcg: options.gate = Gate::kLoopClosure; break;
     case Policy::kGniIgg:
     case Policy::kGniSpoIgg: options.gate = Gate::kLogDeterminant; break;
     default: break;
   }
-  if (options.gate == Gate::kLogDeterminant) options.gate_threshold = 1;
-  options.partial =
-      policy == Policy::kGniSpo || policy == Policy::kGniSpoLcg || policy == Policy::kGniSpoIgg;
+  options.gate_threshold = DefaultThreshold(options.gate);
+  options.partial = policy == Policy::kGniSpo || policy == Policy::kGniSpoLcg || policy == Policy::kGniSpoIgg;
   return options;
 }
 

@@ -143,6 +143,7 @@ template <class Pose>
 void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>& update, Plan& plan) const {
   plan.absolute = AbsoluteFactorsAfter(update);
   plan.anchor_information = AnchorInformation<Pose>(plan.absolute);
+  if (options_.anchor_information) plan.anchor_information.setConstant(*options_.anchor_information);
   if (anchor_slot_ < 0) {
     plan.adds_anchor = !graph_.Poses().empty() || !update.poses.empty();
     if (plan.adds_anchor) plan.changes.added.push_back(Anchor<B>(0, plan.anchor_information));
@@ -200,12 +201,13 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
   }
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                              \
-  template void IncrementalSolver<Pose>::Validate(const GraphUpdate<Pose>&) const;                           \
-  template void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>&, Plan&) const;                 \
-  template void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>&, Plan&) const;                  \
-  template void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>&, Plan&) const;                   \
-  template void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>&, const Plan&, StepReport&, const std::vector<int>&);
+#define TERSE_INSTANTIATE(Pose)                                                                     \
+  template void IncrementalSolver<Pose>::Validate(const GraphUpdate<Pose>&) const;                  \
+  template void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>&, Plan&) const;       \
+  template void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>&, Plan&) const;        \
+  template void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>&, Plan&) const;         \
+  template void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>&, const Plan&, StepReport&, \
+                                                const std::vector<int>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -27,7 +27,7 @@ IncrementalSolver<Pose>::IncrementalSolver(const IncrementalOptions& options) : 
 
 template <class Pose>
 StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
-  const auto start = std::chrono::steady_clock::now();
+  const auto start = Clock::now();
   StepReport report;
   Validate(update);
   Plan plan;
@@ -40,14 +40,16 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   GateValues before = ValuesForGate();
   AddToFactor(update, plan, report);
   DecideGate(update, plan, before, report);
-  if (!report.gate_open) {
+  const int new_poses = static_cast<int>(update.poses.size());
+  if (options_.carry == Carry::kPoint) {
+    MovePoints(new_poses, start, report);
+  } else if (!report.gate_open) {
     ScopedTimer timer(seconds_.solve);
-    PlaceNewPoses(static_cast<int>(update.poses.size()), report);
-  } else if (options_.carry == Carry::kPoint) {
-    MovePoints(report);
+    PlaceNewPoses(new_poses, report);
   } else {
     OptimizeOffsets(start, report);
   }
+  report.seconds += std::chrono::duration<double>(Clock::now() - start).count();
   return report;
 }
 

@@ -309,5 +309,66 @@ TEST_F(SolveCommand, AnInterruptWhileItWritesLeavesNoHalfFile) {
   }
 }
 
+TEST_F(SolveCommand, WritesARowPerStep) {
+  MakeScene("manhattan");
+  Succeed("solve in.g2o --mode incremental --every edge --steps steps.csv --stats stats.json");
+  const auto stats = JsonFile("stats.json");
+  const auto rows = CsvRows(Read("steps.csv"));
+  ASSERT_EQ(rows.size(), stats["steps"].get<std::size_t>());
+  EXPECT_EQ(rows.size(), stats["edges"].get<std::size_t>());
+  const std::string header = Read("steps.csv").substr(0, Read("steps.csv").find('\n'));
+  EXPECT_EQ(header.rfind("step,poses,factors,factor_ids,path,", 0), 0u) << header;
+  for (std::size_t k = 0; k < rows.size(); ++k) {
+    ASSERT_EQ(rows[k].size(), static_cast<std::size_t>(std::count(header.begin(), header.end(), ',') + 1));
+    EXPECT_EQ(rows[k][0], std::to_string(k + 1));
+    EXPECT_EQ(rows[k][2], std::to_string(k + 1));
+    EXPECT_EQ(rows[k][3], std::to_string(k));
+    EXPECT_GE(std::stod(rows[k].back()), 0);
+  }
+  EXPECT_EQ(rows.back()[1], std::to_string(stats["poses"].get<int>()));
+}
+
+TEST_F(SolveCommand, PoliciesAndGatesAllFinishAtTheOptimum) {
+  MakeScene("manhattan");
+  const double optimum = (Succeed("solve in.g2o --stats batch.json"), JsonFile("batch.json")["chi2"].get<double>());
+  const auto run = [&](const std::string& options) {
+    Succeed("solve in.g2o --mode incremental --steps steps.csv --stats stats.json " + options);
+    EXPECT_NEAR(JsonFile("stats.json")["chi2"].get<double>(), optimum, 1e-6 * optimum) << options;
+    int open = 0;
+    for (const auto& row : CsvRows(Read("steps.csv"))) open += row[8] == "1" ? 1 : 0;
+    return open;
+  };
+  const int steps = run("--policy gni --step-tolerance 1e-4 1e-5");
+  for (const char* policy : {"default", "gn1", "gni-lcg", "gni-igg", "gni-spo", "gni-spo-lcg", "gni-spo-igg"}) {
+    EXPECT_LE(run(std::string("--policy ") + policy), steps);
+  }
+  for (const char* gate : {"newton_decrement", "mutual_information", "log_determinant", "loop_closure"}) {
+    EXPECT_LT(run(std::string("--policy gni-spo --gate-threshold 1e9 --gate ") + gate), steps) << gate;
+    EXPECT_LE(run(std::string("--gate ") + gate), steps) << gate;
+  }
+  EXPECT_EQ(run("--policy gni-spo-igg --gate always"), steps);
+  EXPECT_EQ(run("--policy gni --gate never"), 0);
+  EXPECT_LE(run("--policy gni-spo --step-budget-ms 1000 --initial file --paper-flops"), steps);
+}
+
+TEST_F(SolveCommand, RefusesStepOptionsThatMeanNothing) {
+  MakeScene("manhattan");
+  for (const char* option : {"--policy gni", "--gate always", "--gate-threshold 1", "--step-tolerance 1 1",
+                             "--step-budget-ms 1", "--steps steps.csv", "--paper-flops"}) {
+    ExpectFailure(std::string("solve in.g2o ") + option, 2, "needs --mode incremental");
+  }
+  const std::string incremental = "solve in.g2o --mode incremental ";
+  ExpectFailure(incremental + "--policy gn2", 2, "gn2");
+  ExpectFailure(incremental + "--gate open", 2, "open");
+  ExpectFailure(incremental + "--gate-threshold nan", 2, "gate-threshold");
+  ExpectFailure(incremental + "--step-tolerance 1", 2, "step-tolerance");
+  ExpectFailure(incremental + "--step-tolerance 1 -1", 2, "step-tolerance");
+  ExpectFailure(incremental + "--step-tolerance nan 1", 2, "step-tolerance");
+  ExpectFailure(incremental + "--step-budget-ms 0", 2, "step-budget-ms");
+  ExpectFailure(incremental + "--paper-flops", 2, "needs --steps");
+  ExpectFailure(incremental + "--steps nowhere/steps.csv", 1, "nowhere");
+  EXPECT_FALSE(Exists("steps.csv"));
+}
+
 }  // namespace
 }  // namespace terse

@@ -63,6 +63,7 @@ int Run(int argc, char** argv) {
   terse::AddConvertCommand(app);
   terse::AddEvaluateCommand(app);
   terse::AddGenerateCommand(app);
+  terse::AddTableCommand(app);
   try {
     app.parse(argc, argv);
     return 0;

@@ -113,6 +113,39 @@ void WriteJson(const nlohmann::ordered_json& json, const std::string& path) {
   file.Commit();
 }
 
+namespace {
+
+const char* Name(FactorPath path) {
+  switch (path) {
+    case FactorPath::kNone: return "none";
+    case FactorPath::kAppended: return "appended";
+    case FactorPath::kRankUpdate: return "rank_update";
+    case FactorPath::kRefactored: return "refactored";
+  }
+  return "";
+}
+
+}  // namespace
+
+void WriteStepsHeader(std::ostream& out) {
+  out << "step,poses,factors,factor_ids,path,fronts_updated,fronts_refactored,variables_refactored,gate_open,gate_"
+         "value,"
+         "iterations,variables_relinearised,variables_moved,predicted_decrease,actual_decrease,gain_nats,"
+         "deferred_relinearisations,deferred_fronts,flops,solve_flops,paper_update_flops,paper_solve_flops,seconds\n";
+}
+
+void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, std::ostream& out) {
+  const StepReport& r = step.report;
+  out << step.index + 1 << ',' << poses << ',' << factors << ',';
+  for (std::size_t k = 0; k < r.factor_ids.size(); ++k) out << (k > 0 ? " " : "") << r.factor_ids[k].value;
+  out << ',' << Name(r.path) << ',' << r.fronts_updated << ',' << r.fronts_refactored << ',' << r.variables_refactored
+      << ',' << (r.gate_open ? 1 : 0) << ',' << Shortest(r.gate_value) << ',' << r.iterations << ','
+      << r.variables_relinearised << ',' << r.variables_moved << ',' << Shortest(r.predicted_decrease) << ','
+      << Shortest(r.actual_decrease) << ',' << Shortest(r.gain_nats) << ',' << r.deferred_relinearisations << ','
+      << r.deferred_fronts << ',' << Shortest(r.flops) << ',' << Shortest(r.solve_flops) << ','
+      << Shortest(r.paper_update_flops) << ',' << Shortest(r.paper_solve_flops) << ',' << Shortest(r.seconds) << '\n';
+}
+
 template <class Pose>
 Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body) {
   std::vector<std::size_t> order(ids.size());

@@ -7,6 +7,7 @@
 
 #include "terse/core/batch_solver.h"
 #include "terse/core/pose_graph.h"
+#include "terse/core/replay.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
@@ -35,6 +36,11 @@ struct Stats {
 };
 nlohmann::ordered_json ToJson(const Stats& stats);
 void WriteJson(const nlohmann::ordered_json& json, const std::string& path);
+
+// Comma-separated values, a row per step of an incremental run: docs/outputs.md. `poses` and `factors`: in the graph by
+// then.
+void WriteStepsHeader(std::ostream& out);
+void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, std::ostream& out);
 
 // Throws FileError if a file could not be written there: before a long run, not after it. Does nothing for "".
 void RequireWritable(const std::string& path);

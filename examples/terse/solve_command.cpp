@@ -1,12 +1,16 @@
+#include <cmath>
+#include <cstdlib>
 #include <iostream>
+#include <optional>
 
 #include "commands.h"
+#include "policy.h"
 #include "progress.h"
 #include "report.h"
-#include "terse/core/arrival.h"
+#include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
-#include "terse/core/incremental_solver.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/replay.h"
 #include "terse/covariance/marginals.h"
 
 namespace terse {
@@ -16,15 +20,42 @@ enum class Mode { kBatch, kIncremental };
 enum class Covariances { kNone, kLast, kDiagonal };
 
 struct SolveOptions {
-  std::string path, output, trajectory, covariance_output, stats;
+  std::string path, output, trajectory, covariance_output, stats, steps;
   ReadOptions read;
   Mode mode = Mode::kBatch;
   InitialValues initial = InitialValues::kCompose;
   ArrivalUnit every = ArrivalUnit::kPose;
   Covariances covariances = Covariances::kNone;
+  // Of the incremental mode; what is absent is the policy's.
+  Policy policy = Policy::kDefault;
+  Gate gate = Gate::kNewtonDecrement;
+  bool gate_given = false;
+  std::optional<double> gate_threshold;
+  std::vector<double> step_tolerance;  // metres, radians
+  double step_budget_ms = 0;
+  bool paper_flops = false;
   int threads = 1;
   bool quiet = false;
 };
+
+IncrementalOptions StepOptions(const SolveOptions& options) {
+  IncrementalOptions out = PolicyOptions(options.policy);
+  if (options.gate_given) {
+    // The policy's own gate keeps the policy's threshold.
+    if (options.gate != out.gate) out.gate_threshold = DefaultThreshold(options.gate);
+    out.gate = options.gate;
+  }
+  if (options.gate_threshold) out.gate_threshold = *options.gate_threshold;
+  if (!options.step_tolerance.empty()) {
+    const bool offset = out.carry == Carry::kOffset;
+    (offset ? out.relinearize_metres : out.step_metres) = options.step_tolerance[0];
+    (offset ? out.relinearize_radians : out.step_radians) = options.step_tolerance[1];
+  }
+  out.budget_seconds = options.step_budget_ms / 1000;
+  out.report_cost = !options.steps.empty();
+  out.report_paper_flops = options.paper_flops;
+  return out;
+}
 
 template <class Pose>
 BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
@@ -43,26 +74,26 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
 // The graph as it would have come in online; then iterated to its optimum.
 template <class Pose>
 BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
-  if (options.initial == InitialValues::kFile) ComputeInitialValues(graph, options.initial);  // all there?
-  IncrementalSolver<Pose> solver;
-  const std::vector<ArrivalStep> steps = ArrivalSteps(graph, options.every);
-  {
-    Progress progress("steps", static_cast<long>(steps.size()), options.quiet);
-    for (const ArrivalStep& step : steps) {
-      const double start = SecondsNow();
-      GraphUpdate<Pose> update;
-      for (const int p : step.poses) {
-        const auto& node = graph.Poses()[static_cast<std::size_t>(p)];
-        const bool first = solver.Graph().Poses().empty() && update.poses.empty();
-        const bool use_value = node.T_world_body && (first || node.fixed || options.initial == InitialValues::kFile);
-        update.poses.push_back({node.id, use_value ? node.T_world_body : std::nullopt, node.fixed && use_value});
-      }
-      for (const int f : step.factors) update.factors.push_back(graph.Factors()[static_cast<std::size_t>(f)].factor);
-      solver.Update(update);
-      stats.step_seconds.push_back(SecondsNow() - start);
-      progress.Update(static_cast<long>(stats.step_seconds.size()));
-    }
+  IncrementalSolver<Pose> solver(StepOptions(options));
+  std::optional<AtomicFile> steps_file;
+  if (!options.steps.empty()) {
+    steps_file.emplace(options.steps == "-" ? "/dev/stdout" : options.steps);
+    WriteStepsHeader(steps_file->Stream());
   }
+  {
+    std::optional<Progress> progress;
+    Replay<Pose>(graph, {options.every, options.initial == InitialValues::kFile}, solver, [&](const ReplayStep& step) {
+      if (!progress) progress.emplace("steps", step.steps, options.quiet);
+      stats.step_seconds.push_back(step.report.seconds);
+      if (steps_file) {
+        const auto& known = solver.Graph();
+        WriteStepsRow(step, known.Poses().size(), known.Factors().size(), steps_file->Stream());
+      }
+      progress->Update(step.index + 1);
+      return true;
+    });
+  }
+  if (steps_file) steps_file->Commit();
   stats.more["chi2_before_finish"] = solver.Chi2();
   BatchResult<Pose> result = solver.Finish();
   // From the solver's order of poses to the graph's.
@@ -147,7 +178,8 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
 }
 
 void Solve(const SolveOptions& options) {
-  for (const auto& path : {options.output, options.trajectory, options.covariance_output, options.stats}) {
+  for (const auto& path :
+       {options.output, options.trajectory, options.covariance_output, options.stats, options.steps}) {
     RequireWritable(path);
   }
   const double start = SecondsNow();
@@ -158,6 +190,49 @@ void Solve(const SolveOptions& options) {
   AddPathToErrors(options.path, [&] {
     std::visit([&](auto& graph) { SolveGraph(std::move(graph), options, std::move(stats), start); }, file.graph);
   });
+}
+
+// CLI11's own checks let NaN and infinity pass.
+std::string FindSizeDefect(const std::string& text) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  return *end == 0 && !text.empty() && std::isfinite(value) && value >= 0 ? "" : text + " is not a number from 0 up";
+}
+std::string FindNumberDefect(const std::string& text) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  return *end == 0 && !text.empty() && std::isfinite(value) ? "" : text + " is not a finite number";
+}
+
+// Options that only the incremental mode has.
+std::vector<CLI::Option*> AddStepOptions(CLI::App& command, SolveOptions& options) {
+  std::vector<CLI::Option*> out;
+  out.push_back(
+      AddChoice(command, "--policy", options.policy, PolicyNames(),
+                "How much is re-optimised after each step: this program's way, or one of Arablouei's variants"));
+  out.push_back(
+      AddChoice(command, "--gate", options.gate, GateNames(),
+                "What has to exceed the gate's threshold for a step to be optimised (the policy's by default)"));
+  out.push_back(command
+                    .add_option("--gate-threshold", options.gate_threshold,
+                                "In the gate's unit: share of chi2, nats, nats, poses between the ends of an edge")
+                    ->check(FindNumberDefect)
+                    ->type_name("X"));
+  out.push_back(command
+                    .add_option("--step-tolerance", options.step_tolerance,
+                                "Steps below both move nothing (default policy: relinearise nothing)")
+                    ->expected(2)
+                    ->check(FindSizeDefect)
+                    ->type_name("METRES RADIANS"));
+  out.push_back(command
+                    .add_option("--step-budget-ms", options.step_budget_ms,
+                                "Time for a step; what does not fit is left to later steps")
+                    ->check(FindSizeDefect)
+                    ->type_name("MS"));
+  out.push_back(command.add_option("--steps", options.steps, "Write a row per step (CSV)")->type_name("PATH"));
+  out.push_back(command.add_flag("--paper-flops", options.paper_flops,
+                                 "Fill in Arablouei's work model in --steps, for his variants (slow)"));
+  return out;
 }
 
 }  // namespace
@@ -177,6 +252,7 @@ void AddSolveCommand(CLI::App& app) {
             "(for much noise); the incremental mode takes the first two");
   AddChoice(*command, "--every", options->every, {{"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge}},
             "What a step of the incremental mode brings: a pose with all its edges, or a single edge");
+  const std::vector<CLI::Option*> step_options = AddStepOptions(*command, *options);
   AddReadOptions(*command, options->read);
   command->add_option("--output", options->output, "Write the solved graph (g2o)")->type_name("PATH");
   command
@@ -198,7 +274,19 @@ void AddSolveCommand(CLI::App& app) {
       ->type_name("N");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   command->footer("Example: terse solve sphere2500.g2o --output solved.g2o --stats stats.json");
-  command->callback([options] {
+  command->callback([options, step_options] {
+    for (const CLI::Option* option : step_options) {
+      if (option->count() > 0 && options->mode == Mode::kBatch) {
+        throw CLI::ValidationError(option->get_name(), "needs --mode incremental");
+      }
+    }
+    options->gate_given = step_options[1]->count() > 0;
+    if (step_options[4]->count() > 0 && options->step_budget_ms == 0) {
+      throw CLI::ValidationError("--step-budget-ms", "a step needs some time");
+    }
+    if (options->paper_flops && (options->policy == Policy::kDefault || options->steps.empty())) {
+      throw CLI::ValidationError("--paper-flops", "needs --steps and a --policy other than default");
+    }
     const bool composed = options->initial == InitialValues::kCompose || options->initial == InitialValues::kFile;
     if (options->mode == Mode::kIncremental && !composed) {
       throw CLI::ValidationError("--initial", "the incremental mode takes compose or file");

@@ -17,16 +17,17 @@ namespace terse {
 
 // kOffset: estimate = linearisation point + d. Back-substitution reports every step in the estimate; poses whose d
 //   outgrew its tolerance are relinearised when the interval comes round.
-// kPoint: the estimate is the linearisation point. Poses whose step exceeds the step tolerance move and are
-//   relinearised, the rest of the step is dropped (A, Eqs. 17-18).
+// kPoint: the estimate is the linearisation point. While any step exceeds the step tolerance, the poses move and are
+//   relinearised: all of them, or, if partial, those above it while the rest of the step is dropped (A, Eqs. 17-18).
+//   With the gate closed only the new poses take part, by their share of the full Gauss-Newton step.
 enum class Carry { kOffset, kPoint };
 
 // What has to exceed the gate's threshold for the map to be optimised in a step.
 enum class Gate {
   kNewtonDecrement,    // predicted decrease of chi2 that the estimate does not have yet; see DecreaseScale
   kMutualInformation,  // gain of the new factors about what was known, 1/2 ln |I + A Sigma A'|, nats
-  kLogDeterminant,     // eta_t - N_t / N_{t-1} eta_{t-1}, eta = 1/2 ln |H|, N scalars: A's published code, not its Eq. 6
-  kLoopClosure,        // a new relative factor between known poses whose ids differ by more than the threshold
+  kLogDeterminant,  // eta_t - N_t / N_{t-1} eta_{t-1}, eta = 1/2 ln |H|, N scalars: A's published code, not its Eq. 6
+  kLoopClosure,     // a new relative factor between known poses that came in more than the threshold poses apart
   kAlways,
   kNever,
 };
@@ -62,7 +63,11 @@ struct IncrementalOptions {
   double step_radians = 1e-3;
   int max_iterations = 10;
   // kPoint: only the poses that the last iteration moved, and their neighbours, take part in the next; else all do.
+  // Without neighbours as in A's published code: then a pose that has settled stays until the next step.
   bool partial = false;
+  bool partial_neighbours = true;
+  // kPoint: a step that raises chi2 is replaced by the full Gauss-Newton step, then shortened until it does not.
+  bool guard = true;
 
   // Seconds a step may take; 0: no limit. What does not fit is deferred to later steps, largest expected gain first.
   // Adding the factors themselves is never deferred.
@@ -74,36 +79,40 @@ struct IncrementalOptions {
 
   // Fill in StepReport::actual_decrease (evaluates the factors on moved poses once more).
   bool report_cost = false;
-  // Fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
+  // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
   bool report_paper_flops = false;
 };
+
+// A threshold to start from: 1e-5 of chi2, 0.1 nat, 1 (no value suits all graphs), 4 poses.
+double DefaultThreshold(Gate gate);
 
 // What is wrong with the options, or "".
 std::string FindDefect(const IncrementalOptions& options);
 
-// A's variants, with max_iterations and partial as published; gate threshold and step tolerance are per data set.
+// A's variants as published: no guard, unit anchor; gate threshold and step tolerance are per data set.
 enum class Policy { kDefault, kGn1, kGni, kGniLcg, kGniIgg, kGniSpo, kGniSpoLcg, kGniSpoIgg };
 IncrementalOptions PolicyOptions(Policy policy);
 
 struct StepReport {
-  std::vector<FactorId> factor_ids;  // one per added factor
+  std::vector<FactorId> factor_ids;     // one per added factor
   FactorPath path = FactorPath::kNone;  // of the added and removed factors
-  int fronts_updated = 0;     // by rank-k update
-  int fronts_refactored = 0;  // all iterations
+  int fronts_updated = 0;               // by rank-k update
+  int fronts_refactored = 0;            // all iterations
   int variables_refactored = 0;
   bool gate_open = true;
   double gate_value = 0;  // in the gate's unit
   int iterations = 0;     // Gauss-Newton steps taken
   int variables_relinearised = 0;
   int variables_moved = 0;        // whose estimate changed
-  double predicted_decrease = 0;  // of chi2 by this step, linearised
-  double actual_decrease = 0;     // of chi2 over the factors on moved poses; if report_cost
+  double predicted_decrease = 0;  // of chi2 by this step, linearised; kPoint: of the full step if the gate is open
+  double actual_decrease = 0;     // of chi2 over the factors on moved poses; if report_cost, and always in kPoint
   double gain_nats = 0;           // of the new factors about the poses known before
   int deferred_relinearisations = 0;
   int deferred_fronts = 0;  // subtrees that back-substitution left for later
   double flops = 0;         // factorisation: squared column counts, and 4 k times the entries for rank-k updates
   double solve_flops = 0;   // back-substitution: twice the entries visited
   double paper_update_flops = 0, paper_solve_flops = 0;
+  double seconds = 0;  // of the update, without counting the paper's flops
 };
 
 }  // namespace terse

@@ -111,7 +111,12 @@ class IncrementalSolver {
   void OptimizeOffsets(Clock::time_point start, StepReport& report);
   void BackSubstitute(StepReport& report);
   // incremental_points.cpp: Carry::kPoint.
-  void MovePoints(StepReport& report);
+  using Steps = std::map<int, Vector<B>>;  // by variable
+  Steps SolveSteps(const std::vector<int>* scope, StepReport& report);
+  bool ExceedsStepTolerance(const Vector<B>& d) const;
+  bool MoveBy(Steps& steps, StepReport& report);
+  std::vector<int> NextScope(const Steps& moved, bool neighbours) const;
+  void MovePoints(int new_poses, Clock::time_point start, StepReport& report);
 
   IncrementalOptions options_;
   PoseGraph<Pose> graph_;

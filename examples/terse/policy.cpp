@@ -1,0 +1,38 @@
+#include "policy.h"
+
+namespace terse {
+
+const std::vector<std::pair<std::string, Policy>>& PolicyNames() {
+  static const std::vector<std::pair<std::string, Policy>> names = {
+      {"default", Policy::kDefault},
+      {"gn1", Policy::kGn1},
+      {"gni", Policy::kGni},
+      {"gni-lcg", Policy::kGniLcg},
+      {"gni-igg", Policy::kGniIgg},
+      {"gni-spo", Policy::kGniSpo},
+      {"gni-spo-lcg", Policy::kGniSpoLcg},
+      {"gni-spo-igg", Policy::kGniSpoIgg},
+  };
+  return names;
+}
+
+const std::vector<std::pair<std::string, Gate>>& GateNames() {
+  static const std::vector<std::pair<std::string, Gate>> names = {
+      {"newton_decrement", Gate::kNewtonDecrement},
+      {"mutual_information", Gate::kMutualInformation},
+      {"log_determinant", Gate::kLogDeterminant},
+      {"loop_closure", Gate::kLoopClosure},
+      {"always", Gate::kAlways},
+      {"never", Gate::kNever},
+  };
+  return names;
+}
+
+std::string Name(Policy policy) {
+  for (const auto& [name, value] : PolicyNames()) {
+    if (value == policy) return name;
+  }
+  return "";
+}
+
+}  // namespace terse
