@@ -26,6 +26,15 @@ double LinearCost(const LinearFactor<B>& f, const std::vector<double>& d) {
 // ln |H_nn| of the poses from `first_new` on, given all others.
 template <int B>
 double ConditionalLogDeterminant(const std::vector<LinearFactor<B>>& factors, int first_new, int variables) {
+  if (variables == first_new + 1) {  // the usual case
+    Matrix<B, B> H = Matrix<B, B>::Zero();
+    for (const LinearFactor<B>& f : factors) {
+      if (f.first == first_new) H += f.A_first.transpose() * f.A_first;
+      if (f.second == first_new) H += f.A_second.transpose() * f.A_second;
+    }
+    const Eigen::LLT<Matrix<B, B>> llt(H);
+    return llt.info() == Eigen::Success ? 2 * llt.matrixLLT().diagonal().array().log().sum() : 0;
+  }
   typename BlockCholesky<B>::Changes changes;
   changes.new_variables = variables - first_new;
   for (LinearFactor<B> f : factors) {
@@ -79,11 +88,13 @@ double IncrementalSolver<Pose>::DegreesOfFreedom() const {
 template <class Pose>
 bool IncrementalSolver<Pose>::ClosesLoop(const GraphUpdate<Pose>& update) const {
   const int old = factor_.Variables() - static_cast<int>(update.poses.size());
+  std::vector<char> is_joined(update.poses.size(), 0);  // the factor that brings a pose in closes nothing
   for (const auto& factor : update.factors) {
     const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor);
     if (f == nullptr) continue;
     const auto [low, high] = std::minmax({graph_.IndexOf(f->from), graph_.IndexOf(f->to)});
-    if (high < old && high - low > options_.gate_threshold) return true;
+    if (high >= old && std::exchange(is_joined[At(high - old)], 1) == 0) continue;
+    if (high - low > options_.gate_threshold) return true;
   }
   return false;
 }
@@ -103,9 +114,7 @@ void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>& update, const 
     case Gate::kNewtonDecrement: {
       double unit = 1;
       if (options_.decrease_scale == DecreaseScale::kChi2) unit = CostUnit();
-      if (options_.decrease_scale == DecreaseScale::kDof) {
-        unit = DegreesOfFreedom();
-      }
+      if (options_.decrease_scale == DecreaseScale::kDof) unit = DegreesOfFreedom();
       report.gate_value = remaining / unit;
       break;
     }
@@ -127,6 +136,10 @@ void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>& update, const 
     case Gate::kLoopClosure: report.gate_open = report.gate_value > 0; break;
     case Gate::kAlways: report.gate_open = true; break;
     case Gate::kNever: report.gate_open = false; break;
+    case Gate::kNewtonDecrement:
+      // The linear decrease does not see what relinearisation would find.
+      report.gate_open = report.gate_value > options_.gate_threshold || deferred_ || IsRelinearizationDue();
+      break;
     default: report.gate_open = report.gate_value > options_.gate_threshold || deferred_;
   }
 }

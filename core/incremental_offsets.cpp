@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <set>
+#include <unordered_set>
 
 #include "incremental_plan.h"
 #include "stopwatch.h"
@@ -18,9 +20,11 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 // Relinearised factors may cost this many times as much as before (curved valleys climb a little) before the
 // points go only part of the way, at least this share of it.
 constexpr double kClimb = 4, kLeastShare = 0.05;
-// A step that lowers chi2 by this share may move the map so far that relinearisation does not wait for the interval;
-// it does not if the linearisation errors are this many times what is tolerated.
-const double kUrgent = getenv("U") ? atof(getenv("U")) : 1e-2, kUrgentError = getenv("UE") ? atof(getenv("UE")) : 10;
+// Linearisation errors of so many times what is tolerated do not wait for the interval.
+constexpr double kUrgent = 100;
+// Shares of what is tolerated: from which on a pose's factors are looked at, and a neighbour joins those that are
+// relinearised.
+constexpr double kWorthLooking = 1e-2, kWorthJoining = 1e-2;
 
 }  // namespace
 
@@ -29,6 +33,15 @@ bool IncrementalSolver<Pose>::IsOutgrown(int variable) const {
   const Eigen::Map<const Vector<B>> d(factor_.Solution().data() + At(variable) * B);
   return d.template head<Pose::kDim>().norm() > options_.relinearize_metres ||
          d.template tail<B - Pose::kDim>().norm() > options_.relinearize_radians;
+}
+
+// A scale for how much the errors of a pose's factors changed since they were looked at: they are products of its turn
+// with whatever moves (residuals are linear in the translations alone).
+template <class Pose>
+double IncrementalSolver<Pose>::PossibleError(int variable) const {
+  constexpr int R = B - Pose::kDim;
+  const Eigen::Map<const Vector<B>> d(factor_.Solution().data() + At(variable) * B);
+  return d.template tail<R>().squaredNorm() * (d - seen_[At(variable)]).cwiseAbs2().dot(factor_.DiagonalOf(variable));
 }
 
 // How far the linearised factor is from the true one, in units of chi2.
@@ -42,10 +55,15 @@ double IncrementalSolver<Pose>::LinearizationError(int slot) const {
   if (f.second >= 0) {
     linear += f.A_second * Eigen::Map<const Vector<B>>(factor_.Solution().data() + At(f.second) * B);
   }
+  return (WhitenedResidualAt(slot) - linear).squaredNorm();
+}
+
+template <class Pose>
+Vector<Pose::kDof> IncrementalSolver<Pose>::WhitenedResidualAt(int slot) const {
+  const LinearFactor<B>& f = factor_.FactorAt(slot);
   const Pose first = EstimateAt(f.first);
-  const Vector<B> actual =
-      Residual(graph_.FindFactor(id)->factor, first, f.second >= 0 ? EstimateAt(f.second) : first);
-  return (W_of_slot_[At(slot)] * actual - linear).squaredNorm();
+  return W_of_slot_[At(slot)] * Residual(graph_.FindFactor(factor_of_slot_[At(slot)])->factor, first,
+                                         f.second >= 0 ? EstimateAt(f.second) : first);
 }
 
 // Of the factors on poses that moved.
@@ -53,12 +71,14 @@ template <class Pose>
 void IncrementalSolver<Pose>::UpdateLinearizationErrors() {
   std::vector<int> slots;
   for (const int v : moved_) {
-    is_moved_[At(v)] = 0;
+    possible_of_[At(v)] = 0;
+    seen_[At(v)] = Eigen::Map<const Vector<B>>(factor_.Solution().data() + At(v) * B);
     for (const int slot : factor_.SlotsOf(v)) {
       if (std::exchange(is_listed_[At(slot)], 1) == 0) slots.push_back(slot);
     }
   }
   moved_.clear();
+  possible_error_ = 0;
   for (const int slot : slots) {
     is_listed_[At(slot)] = 0;
     SetLinearizationError(slot, LinearizationError(slot));
@@ -74,8 +94,11 @@ void IncrementalSolver<Pose>::SetLinearizationError(int slot, double error) {
 
 // The poses of the worst factors, so many that what is left is half of what is tolerated.
 template <class Pose>
-std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times) {
+std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times,
+                                                               std::optional<Clock::time_point> deadline,
+                                                               StepReport& report) {
   UpdateLinearizationErrors();
+  looked_at_ = updates_;
   const double tolerated = options_.relinearize_tolerance * CostUnit();
   std::map<int, Pose> points;
   if (error_sum_ <= times * tolerated) return points;
@@ -86,15 +109,73 @@ std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times) {
     return std::make_pair(-error_of_slot_[At(a)], a) < std::make_pair(-error_of_slot_[At(b)], b);
   });
   double left = error_sum_;
+  std::vector<int> added;
+  std::unordered_set<int> fronts;
+  const double affordable = deadline ? AffordableFlops(*deadline) : std::numeric_limits<double>::infinity();
+  double flops = 0;
+  report.deferred_relinearisations = 0;
+  const auto add = [&](int v) {
+    if (v < 0 || !IsOutgrown(v) || points.count(v) != 0) return;
+    const double more = deadline ? PathFlops(v, fronts) : 0;
+    if (flops + more > affordable) {
+      ++report.deferred_relinearisations;
+      return;
+    }
+    flops += more;
+    points.emplace(v, EstimateAt(v));
+    added.push_back(v);
+  };
   for (const int slot : suspects_) {
     if (left <= tolerated / 2) break;
     left -= error_of_slot_[At(slot)];
-    const LinearFactor<B>& f = factor_.FactorAt(slot);
-    for (const int v : {f.first, f.second}) {
-      if (v >= 0 && IsOutgrown(v)) points.emplace(v, EstimateAt(v));
+    add(factor_.FactorAt(slot).first);
+    add(factor_.FactorAt(slot).second);
+  }
+  // Poses that moved together far and fast: a factor between one that is relinearised and one that is not would be
+  // linearised where nobody is.
+  for (size_t k = 0; k < added.size(); ++k) {
+    for (const int slot : factor_.SlotsOf(added[k])) {
+      const LinearFactor<B>& f = factor_.FactorAt(slot);
+      const int other = f.first == added[k] ? f.second : f.first;
+      if (other < 0 || points.count(other) != 0 || !IsOutgrown(other)) continue;
+      if (ErrorAfter(slot, points) > kWorthJoining * tolerated) add(other);
     }
   }
   return points;
+}
+
+template <class Pose>
+double IncrementalSolver<Pose>::AffordableFlops(Clock::time_point deadline) const {
+  // Half of the time is for back-substitution and for what the prediction misses.
+  return 0.5 * std::chrono::duration<double>(deadline - Clock::now()).count() / seconds_per_flop_;
+}
+
+// Of refactoring the fronts from the variable to the root that are not in `fronts` yet.
+template <class Pose>
+double IncrementalSolver<Pose>::PathFlops(int variable, std::unordered_set<int>& fronts) const {
+  double flops = 0;
+  for (int f = factor_.FrontOf(variable); f >= 0 && fronts.insert(f).second; f = factor_.FrontAt(f).parent) {
+    const double rows = factor_.FrontAt(f).Rows(), s = rows - factor_.FrontAt(f).Columns();
+    flops += (std::pow(rows, 3) - std::pow(s, 3)) / 3;
+  }
+  return flops;
+}
+
+// The linearisation error of a factor when these poses are relinearised.
+template <class Pose>
+double IncrementalSolver<Pose>::ErrorAfter(int slot, const std::map<int, Pose>& points) const {
+  const auto point = [&](int v) -> const Pose& {
+    const auto it = points.find(v);
+    return it != points.end() ? it->second : linearization_points_[At(v)];
+  };
+  const LinearFactor<B> f = LinearizeSlot(slot, point);
+  Vector<B> linear = f.residual;
+  const auto add = [&](int v, const Matrix<B, B>& A) {
+    if (v >= 0 && points.count(v) == 0) linear += A * Eigen::Map<const Vector<B>>(factor_.Solution().data() + At(v) * B);
+  };
+  add(f.first, f.A_first);
+  add(f.second, f.A_second);
+  return (WhitenedResidualAt(slot) - linear).squaredNorm();
 }
 
 template <class Pose>
@@ -137,11 +218,18 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
   changes.replaced = std::move(replaced);
   std::vector<int> slots;
   for (const auto& change : changes.replaced) slots.push_back(change.first);
+  const auto start = Clock::now();
+  const double flops = report.flops;
   if (!UpdateFactor(std::move(changes), report).ok) return false;
+  if (report.flops - flops > 1e5) {
+    const double measured = std::chrono::duration<double>(Clock::now() - start).count() / (report.flops - flops);
+    seconds_per_flop_ += 0.3 * (measured - seconds_per_flop_);
+  }
   for (const auto& factor : before) ChangeCosts(factor, -1);
   for (const auto& [v, T] : points) {
     linearization_points_[At(v)] = T;
     factor_.ClearSolution(v);
+    seen_[At(v)].setZero();
   }
   for (const int slot : slots) {
     ChangeCosts(factor_.FactorAt(slot), 1);
@@ -154,12 +242,13 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
 // Moves the linearisation points of the poses with the worst factors to their estimates. A wrong or far link can throw an estimate to
 // where the linearisation means nothing; there the points go only part of the way.
 template <class Pose>
-bool IncrementalSolver<Pose>::RelinearizeWorst(double times, StepReport& report) {
+bool IncrementalSolver<Pose>::RelinearizeWorst(double times, std::optional<Clock::time_point> deadline,
+                                               StepReport& report) {
   std::map<int, Pose> points;
   Replacements replaced;
   {
     ScopedTimer timer(seconds_.linearise);
-    points = PosesToRelinearize(times);
+    points = PosesToRelinearize(times, deadline, report);
     if (points.empty()) return false;
     replaced = LinearizeAround(points);
     double before = static_cast<double>(B * replaced.size());
@@ -179,27 +268,37 @@ bool IncrementalSolver<Pose>::RelinearizeWorst(double times, StepReport& report)
 }
 
 template <class Pose>
-void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point, StepReport& report) {
-  if (updates_ % options_.relinearize_interval == 0) RelinearizeWorst(1, report);
+void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point start, StepReport& report) {
+  std::optional<Clock::time_point> deadline;
+  if (options_.budget_seconds > 0) {
+    deadline = start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(options_.budget_seconds));
+  }
+  if (IsRelinearizationDue() || deferred_) RelinearizeWorst(1, deadline, report);
+  const auto is_urgent = [&] { return possible_error_ > kUrgent * options_.relinearize_tolerance * CostUnit(); };
   do {
-    const double decrease = RemainingDecrease();
-    BackSubstitute(report);
+    BackSubstitute(deadline, report);
     ++report.iterations;
-    if (decrease < kUrgent * CostUnit() || report.iterations >= options_.max_iterations) break;
-  } while (RelinearizeWorst(kUrgentError, report));
+  } while (report.iterations < options_.max_iterations && is_urgent() && !(deadline && Clock::now() > *deadline) &&
+           RelinearizeWorst(kUrgent, deadline, report));
+  report.deferred_fronts = factor_.LastSolve().deferred;
+  deferred_ = report.deferred_fronts > 0 || report.deferred_relinearisations > 0;
 }
 
 template <class Pose>
-void IncrementalSolver<Pose>::BackSubstitute(StepReport& report) {
+void IncrementalSolver<Pose>::BackSubstitute(std::optional<Clock::time_point> deadline, StepReport& report) {
   ScopedTimer timer(seconds_.solve);
-  const std::vector<int> moved = factor_.Solve(options_.propagation_tolerance * CostUnit());
+  const std::vector<int> moved = factor_.Solve(options_.propagation_tolerance * CostUnit(), deadline);
   linear_cost_ = LinearMinimum();
   report.solve_flops += factor_.LastSolve().flops;
   report.variables_moved += static_cast<int>(moved.size());
+  const double worth = kWorthLooking * options_.relinearize_tolerance * CostUnit();
   for (const int v : moved) {
-    if (is_moved_[At(v)] != 0 || !IsOutgrown(v)) continue;
-    is_moved_[At(v)] = 1;
-    moved_.push_back(v);
+    const double possible = PossibleError(v);
+    double& known = possible_of_[At(v)];  // 0: not listed
+    if (known == 0 && (!(possible > worth) || !IsOutgrown(v))) continue;
+    if (known == 0) moved_.push_back(v);
+    possible_error_ += possible - known;
+    known = std::max(possible, std::numeric_limits<double>::min());
   }
 }
 
@@ -209,7 +308,7 @@ void IncrementalSolver<Pose>::BackSubstitute(StepReport& report) {
       const;                                                                                                          \
   template bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>&, Replacements, StepReport&);          \
   template void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point, StepReport&);                             \
-  template void IncrementalSolver<Pose>::BackSubstitute(StepReport&);
+  template void IncrementalSolver<Pose>::BackSubstitute(std::optional<Clock::time_point>, StepReport&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -172,7 +172,8 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     graph_.AddPose(update.poses[k].id, plan.new_values[k]);
     graph_.SetFixed(update.poses[k].id, update.poses[k].fixed);
     linearization_points_.push_back(plan.new_values[k]);
-    is_moved_.push_back(0);
+    possible_of_.push_back(0);
+    seen_.push_back(Vector<B>::Zero());
   }
   const auto bind = [&](int slot, FactorId id) {
     if (At(slot) >= factor_of_slot_.size()) {

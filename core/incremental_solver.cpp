@@ -130,7 +130,7 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
   RecountCosts();
   if (options_.carry == Carry::kOffset) {
     StepReport report;
-    BackSubstitute(report);
+    BackSubstitute(std::nullopt, report);
   }
   return result;
 }

@@ -119,6 +119,7 @@ class BlockCholesky {
   std::vector<double> Gradient() const;
   // diag(H).
   std::vector<double> Diagonal() const;
+  const Vector<B>& DiagonalOf(int variable) const { return diagonal_[static_cast<std::size_t>(variable)]; }
   const LinearFactor<B>& FactorAt(int slot) const { return factors_[static_cast<std::size_t>(slot)]; }
   // Slots of the living factors on a variable, ascending.
   const std::vector<int>& SlotsOf(int variable) const { return slots_of_[static_cast<std::size_t>(variable)]; }

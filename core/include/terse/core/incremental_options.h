@@ -16,7 +16,7 @@
 namespace terse {
 
 // kOffset: estimate = linearisation point + d. Back-substitution reports every step in the estimate; poses whose d
-//   outgrew its tolerance are relinearised when the interval comes round.
+//   outgrew the linearisation are relinearised when the interval comes round.
 // kPoint: the estimate is the linearisation point. While any step exceeds the step tolerance, the poses move and are
 //   relinearised: all of them, or, if partial, those above it while the rest of the step is dropped (A, Eqs. 17-18).
 //   With the gate closed only the new poses take part, by their share of the full Gauss-Newton step.
@@ -47,21 +47,22 @@ struct IncrementalOptions {
 
   // kOffset: factors are relinearised, those with the largest error first, when their linearisation errors
   // |r(estimate) - (r + A d)|^2 (whitened) add up to more than this share of chi2, until they add up to half of it.
-  double relinearize_tolerance = 1e-4;
+  double relinearize_tolerance = 1e-6;
   // Only poses whose d exceeds either are looked at.
   double relinearize_metres = 0;
   double relinearize_radians = 0;
-  // Relinearisation is considered at every n-th step, or at once after a step that was predicted to lower chi2 by
-  // a tenth: the steps between touch far less, and the estimate, which includes d, hardly notices.
+  // Relinearisation is considered at every n-th step, or at once where the errors may be 100 times what is tolerated:
+  // the steps between touch far less, and the estimate, which includes d, hardly notices.
   int relinearize_interval = 10;
   // Back-substitution leaves a subtree alone where no pose above it moved by so much that this, all else held, would
   // change chi2 by more than this share of it. 0 is exact.
-  double propagation_tolerance = 1e-8;
+  double propagation_tolerance = 1e-7;
 
-  // kPoint: the step tolerance (A's tau_d) and the largest number of Gauss-Newton iterations (A's tau_GN).
+  // Gauss-Newton iterations in a step (A's tau_GN, 10 there). kOffset: more than one only after a far loop.
+  int max_iterations = 4;
+  // kPoint: the step tolerance (A's tau_d).
   double step_metres = 1e-3;
   double step_radians = 1e-3;
-  int max_iterations = 10;
   // kPoint: only the poses that the last iteration moved, and their neighbours, take part in the next; else all do.
   // Without neighbours as in A's published code: then a pose that has settled stays until the next step.
   bool partial = false;
@@ -69,8 +70,9 @@ struct IncrementalOptions {
   // kPoint: a step that raises chi2 is replaced by the full Gauss-Newton step, then shortened until it does not.
   bool guard = true;
 
-  // Seconds a step may take; 0: no limit. What does not fit is deferred to later steps, largest expected gain first.
-  // Adding the factors themselves is never deferred.
+  // Seconds a step may take; 0: no limit. What does not fit is deferred to later steps, largest expected gain first:
+  // relinearisation by predicted time, back-substitution by the clock. Adding the factors is never deferred. An
+  // update without factors works off what is left.
   double budget_seconds = 0;
 
   // Information of the proximal anchor on every tangent direction of the first pose, whatever priors there are.

@@ -13,6 +13,7 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <unordered_set>
 #include <vector>
 
 #include "terse/core/batch_solver.h"
@@ -98,18 +99,26 @@ class IncrementalSolver {
   void PlaceNewPoses(int new_poses, StepReport& report);
   // incremental_offsets.cpp: Carry::kOffset, and relinearisation for both.
   bool IsOutgrown(int variable) const;
+  double PossibleError(int variable) const;
+  bool IsRelinearizationDue() const {
+    return !moved_.empty() && updates_ - looked_at_ >= options_.relinearize_interval;
+  }
+  Vector<Pose::kDof> WhitenedResidualAt(int slot) const;
   double LinearizationError(int slot) const;
+  double ErrorAfter(int slot, const std::map<int, Pose>& points) const;
   void UpdateLinearizationErrors();
   void SetLinearizationError(int slot, double error);
   // What is far below the tolerance is counted but not looked for.
   bool IsSuspicious(double error) const { return error > 1e-5 * options_.relinearize_tolerance * CostUnit(); }
-  std::map<int, Pose> PosesToRelinearize(double times);
+  std::map<int, Pose> PosesToRelinearize(double times, std::optional<Clock::time_point> deadline, StepReport& report);
+  double AffordableFlops(Clock::time_point deadline) const;
+  double PathFlops(int variable, std::unordered_set<int>& fronts) const;
   LinearFactor<Pose::kDof> LinearizeSlot(int slot, const PointOf& point) const;
   Replacements LinearizeAround(const std::map<int, Pose>& points) const;
   bool Relinearize(const std::map<int, Pose>& points, Replacements replaced, StepReport& report);
-  bool RelinearizeWorst(double times, StepReport& report);
+  bool RelinearizeWorst(double times, std::optional<Clock::time_point> deadline, StepReport& report);
   void OptimizeOffsets(Clock::time_point start, StepReport& report);
-  void BackSubstitute(StepReport& report);
+  void BackSubstitute(std::optional<Clock::time_point> deadline, StepReport& report);
   // incremental_points.cpp: Carry::kPoint.
   using Steps = std::map<int, Vector<B>>;  // by variable
   Steps SolveSteps(const std::vector<int>* scope, StepReport& report);
@@ -128,18 +137,21 @@ class IncrementalSolver {
   int anchor_slot_ = -1;
   Vector<B> anchor_information_ = Vector<B>::Zero();
   AbsoluteFactors absolute_;
-  std::vector<int> moved_;  // poses that moved since their factors' errors were looked at
-  std::vector<char> is_moved_;            // by pose index
+  std::vector<int> moved_;       // poses that turned since their factors' errors were looked at
+  std::vector<double> possible_of_;  // by pose index: PossibleError, 0 if not in moved_
+  std::vector<Vector<B>> seen_;  // by pose index: d when its factors' errors were looked at
+  double possible_error_ = 0;    // of moved_
   std::vector<double> error_of_slot_;     // |r(estimate) - (r + A d)|^2 when last looked at
   double error_sum_ = 0;
   std::vector<int> suspects_;             // slots with an error worth looking at
   std::vector<char> is_suspect_, is_listed_;  // by slot
-  long updates_ = 0;
+  long updates_ = 0, looked_at_ = 0;      // steps; the one that last looked for errors
   // Of the linearised system: chi2 at the linearisation points, and at the present d.
   double cost_at_points_ = 0, linear_cost_ = 0;
   long measured_scalars_ = 0;
   double eta_ = 0;  // 1/2 ln |H| when the previous step's factors had been added
   int eta_variables_ = 0;
+  double seconds_per_flop_ = 1e-9;  // of relinearisation, measured
   bool deferred_ = false;  // work is left from earlier steps
   PhaseSeconds seconds_;
 };
