@@ -1,7 +1,7 @@
 // Bringing the tree up to date without factoring it again: new leaves, and rank-k updates along the paths.
 //
-// With augmented rows a = [A, -r], H = sum a'a and y ride along as the panel's last row. A front takes W, k columns over
-// its variables and the right-hand side: [L, W] Q = [L~, W~], W~ zero on the pivots; its update matrix grows by
+// With augmented rows a = [A, -r], H = sum a'a and y ride along as the panel's last row. A front takes W, k columns
+// over its variables and the right-hand side: [L, W] Q = [L~, W~], W~ zero on the pivots; its update matrix grows by
 // W~_S W~_S', and W~_S goes on to the parent.
 
 #include <algorithm>
@@ -189,6 +189,32 @@ bool BlockCholesky<B>::IsCheaper(const RankPath& path) {
   return true;
 }
 
+// The columns from `first` on become the factor of L L' + W W'. Returns the variable at which that fails, or -1.
+template <int B>
+int BlockCholesky<B>::ResumeRoot(Front& front, int first, const double* W, int columns) {
+  const int rows = front.Rows(), t = front.Columns() - first, n = rows - first;
+  std::vector<double> L = pool_.Take(At(n) * At(t)), C = pool_.Take(At(n) * At(n));
+  std::fill_n(C.begin(), At(n) * At(n), 0.0);
+  const auto panel = [&](int c) { return front.panel.data() + At(first + c) * At(rows) + At(first); };
+  for (int c = 0; c < t; ++c) {
+    std::fill_n(L.data() + At(c) * At(n), c, 0.0);
+    std::copy_n(panel(c) + c, n - c, L.data() + At(c) * At(n) + At(c));
+  }
+  const auto& kernels = internal::Kernels();
+  kernels.subtract_product(C.data(), n, L.data(), L.data(), n, t);
+  kernels.subtract_product(C.data(), n, W + first, W + first, rows, columns);
+  for (int c = 0; c < t; ++c) {
+    for (int r = c; r < n; ++r) C[At(c) * At(n) + At(r)] *= -1;
+  }
+  const int failed = kernels.factor_panel(C.data(), n, t);
+  for (int c = 0; c < t; ++c) std::copy_n(C.data() + At(c) * At(n) + At(c), n - c, panel(c) + c);
+  for (std::vector<double>* buffer : {&L, &C}) {
+    pool_.MakeRoom(buffer->size());
+    pool_.Give(std::move(*buffer));
+  }
+  return failed >= 0 ? front.pivots[At((first + failed) / B)] : -1;
+}
+
 // One front of the path. `below` are the changed children, `slots` the factors that start here.
 template <int B>
 int BlockCholesky<B>::RankUpdateFront(Changed& changed, const std::vector<const Front*>& below, int old_variables,
@@ -270,9 +296,18 @@ int BlockCholesky<B>::RankUpdateFront(Changed& changed, const std::vector<const 
     std::fill(column + old_rows - 1, column + rows - 1, 0.0);
     column[rows - 1] = from[old_rows - 1];
   }
-  internal::Kernels().rank_update(front.panel.data() + At(first) * At(rows) + At(first), rows, rows - first, p - first,
-                                  W.data() + first, rows, columns);
-  report.flops += 4 * columns * Entries(rows - first, p - first);
+  // Above the root nobody asks for W any more, so it may be factored again from the first changed column on.
+  const double update_flops = 4 * columns * Entries(rows - first, p - first);
+  const double resume_flops = 4 * std::pow(rows - first, 3) / 3 + columns * std::pow(rows - first, 2);
+  if (is_root && resume_flops < kRankFlop * update_flops) {
+    report.flops += resume_flops;
+    const int failed = ResumeRoot(front, first, W.data(), columns);
+    if (failed >= 0) return failed;
+  } else {
+    report.flops += update_flops;
+    internal::Kernels().rank_update(front.panel.data() + At(first) * At(rows) + At(first), rows, rows - first,
+                                    p - first, W.data() + first, rows, columns);
+  }
 
   Correction correction;
   correction.separators = static_cast<int>(front.separators.size());
@@ -328,12 +363,13 @@ int BlockCholesky<B>::RankUpdate(const RankPath& path, int old_variables, Update
   return -1;
 }
 
-#define TERSE_INSTANTIATE(B)                                                                                  \
-  template bool BlockCholesky<B>::PlanAppend(const Changes&, int, const std::vector<int>&) const;             \
-  template int BlockCholesky<B>::Append(int, UpdateReport&);                                                  \
-  template bool BlockCholesky<B>::PlanRankUpdate(const Changes&, int, const std::vector<int>&,                \
-                                                 const std::vector<int>&, RankPath&);                         \
-  template bool BlockCholesky<B>::IsCheaper(const RankPath&);                                                 \
+#define TERSE_INSTANTIATE(B)                                                                                      \
+  template bool BlockCholesky<B>::PlanAppend(const Changes&, int, const std::vector<int>&) const;                 \
+  template int BlockCholesky<B>::Append(int, UpdateReport&);                                                      \
+  template bool BlockCholesky<B>::PlanRankUpdate(const Changes&, int, const std::vector<int>&,                    \
+                                                 const std::vector<int>&, RankPath&);                             \
+  template bool BlockCholesky<B>::IsCheaper(const RankPath&);                                                     \
+  template int BlockCholesky<B>::ResumeRoot(Front&, int, const double*, int);                                     \
   template int BlockCholesky<B>::RankUpdateFront(Changed&, const std::vector<const Front*>&, int, UpdateReport&); \
   template int BlockCholesky<B>::RankUpdate(const RankPath&, int, UpdateReport&);
 TERSE_INSTANTIATE(3)

@@ -204,15 +204,15 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
   return report;
 }
 
-#define TERSE_INSTANTIATE(B)                                                                \
-  template void BlockCholesky<B>::CheckChanges(const Changes&) const;                       \
-  template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                     \
-  template void BlockCholesky<B>::RecountDiagonal(int);                                     \
-  template void BlockCholesky<B>::RecountDiagonals(const Undo&);                            \
-  template void BlockCholesky<B>::ApplyFactors(const Changes&, std::vector<int>&, Undo&);   \
-  template void BlockCholesky<B>::RevertFactors(const Undo&);                               \
-  template void BlockCholesky<B>::Attach(int);                                              \
-  template void BlockCholesky<B>::Detach(int);                                              \
+#define TERSE_INSTANTIATE(B)                                                              \
+  template void BlockCholesky<B>::CheckChanges(const Changes&) const;                     \
+  template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                   \
+  template void BlockCholesky<B>::RecountDiagonal(int);                                   \
+  template void BlockCholesky<B>::RecountDiagonals(const Undo&);                          \
+  template void BlockCholesky<B>::ApplyFactors(const Changes&, std::vector<int>&, Undo&); \
+  template void BlockCholesky<B>::RevertFactors(const Undo&);                             \
+  template void BlockCholesky<B>::Attach(int);                                            \
+  template void BlockCholesky<B>::Detach(int);                                            \
   template BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes&);
 TERSE_INSTANTIATE(3)
 TERSE_INSTANTIATE(6)

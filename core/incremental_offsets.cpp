@@ -46,7 +46,7 @@ double IncrementalSolver<Pose>::PossibleError(int variable) const {
 
 // How far the linearised factor is from the true one, in units of chi2.
 template <class Pose>
-double IncrementalSolver<Pose>::LinearizationError(int slot) const {
+double IncrementalSolver<Pose>::LinearizationError(int slot) {
   const LinearFactor<B>& f = factor_.FactorAt(slot);
   const FactorId id = factor_of_slot_[At(slot)];
   if (f.first < 0 || id.value < 0) return 0;
@@ -58,17 +58,25 @@ double IncrementalSolver<Pose>::LinearizationError(int slot) const {
   return (WhitenedResidualAt(slot) - linear).squaredNorm();
 }
 
+// EstimateAt for many factors on the same poses; from one look at the errors to the next.
 template <class Pose>
-Vector<Pose::kDof> IncrementalSolver<Pose>::WhitenedResidualAt(int slot) const {
+const Pose& IncrementalSolver<Pose>::RememberedEstimate(int index) {
+  if (std::exchange(remembered_in_[At(index)], look_) != look_) remembered_[At(index)] = EstimateAt(index);
+  return remembered_[At(index)];
+}
+
+template <class Pose>
+Vector<Pose::kDof> IncrementalSolver<Pose>::WhitenedResidualAt(int slot) {
   const LinearFactor<B>& f = factor_.FactorAt(slot);
-  const Pose first = EstimateAt(f.first);
+  const Pose& first = RememberedEstimate(f.first);
   return W_of_slot_[At(slot)] * Residual(graph_.FindFactor(factor_of_slot_[At(slot)])->factor, first,
-                                         f.second >= 0 ? EstimateAt(f.second) : first);
+                                         f.second >= 0 ? RememberedEstimate(f.second) : first);
 }
 
 // Of the factors on poses that moved.
 template <class Pose>
 void IncrementalSolver<Pose>::UpdateLinearizationErrors() {
+  ++look_;
   std::vector<int> slots;
   for (const int v : moved_) {
     possible_of_[At(v)] = 0;
@@ -94,9 +102,8 @@ void IncrementalSolver<Pose>::SetLinearizationError(int slot, double error) {
 
 // The poses of the worst factors, so many that what is left is half of what is tolerated.
 template <class Pose>
-std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times,
-                                                               std::optional<Clock::time_point> deadline,
-                                                               StepReport& report) {
+std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times, std::optional<Clock::time_point> deadline,
+                                                                StepReport& report) {
   UpdateLinearizationErrors();
   looked_at_ = updates_;
   const double tolerated = options_.relinearize_tolerance * CostUnit();
@@ -122,7 +129,7 @@ std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times,
       return;
     }
     flops += more;
-    points.emplace(v, EstimateAt(v));
+    points.emplace(v, RememberedEstimate(v));
     added.push_back(v);
   };
   for (const int slot : suspects_) {
@@ -163,7 +170,7 @@ double IncrementalSolver<Pose>::PathFlops(int variable, std::unordered_set<int>&
 
 // The linearisation error of a factor when these poses are relinearised.
 template <class Pose>
-double IncrementalSolver<Pose>::ErrorAfter(int slot, const std::map<int, Pose>& points) const {
+double IncrementalSolver<Pose>::ErrorAfter(int slot, const std::map<int, Pose>& points) {
   const auto point = [&](int v) -> const Pose& {
     const auto it = points.find(v);
     return it != points.end() ? it->second : linearization_points_[At(v)];
@@ -171,7 +178,8 @@ double IncrementalSolver<Pose>::ErrorAfter(int slot, const std::map<int, Pose>& 
   const LinearFactor<B> f = LinearizeSlot(slot, point);
   Vector<B> linear = f.residual;
   const auto add = [&](int v, const Matrix<B, B>& A) {
-    if (v >= 0 && points.count(v) == 0) linear += A * Eigen::Map<const Vector<B>>(factor_.Solution().data() + At(v) * B);
+    if (v >= 0 && points.count(v) == 0)
+      linear += A * Eigen::Map<const Vector<B>>(factor_.Solution().data() + At(v) * B);
   };
   add(f.first, f.A_first);
   add(f.second, f.A_second);
@@ -185,7 +193,8 @@ LinearFactor<Pose::kDof> IncrementalSolver<Pose>::LinearizeSlot(int slot, const 
   const FactorId id = factor_of_slot_[At(slot)];
   const int second = was.second < 0 ? was.first : was.second;
   if (id.value >= 0) {
-    return Linearize(graph_.FindFactor(id)->factor, W_of_slot_[At(slot)], was.first, second, point(was.first), point(second));
+    return Linearize(graph_.FindFactor(id)->factor, W_of_slot_[At(slot)], was.first, second, point(was.first),
+                     point(second));
   }
   const auto& fixed = graph_.Poses()[At(was.first)];
   return Linearize<Pose>(FixedPosePrior<Pose>(fixed.id, *fixed.T_world_body), was.first, was.first, point(was.first),
@@ -231,6 +240,7 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
     factor_.ClearSolution(v);
     seen_[At(v)].setZero();
   }
+  ++look_;
   for (const int slot : slots) {
     ChangeCosts(factor_.FactorAt(slot), 1);
     SetLinearizationError(slot, options_.carry == Carry::kOffset ? LinearizationError(slot) : 0);
@@ -239,8 +249,8 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
   return true;
 }
 
-// Moves the linearisation points of the poses with the worst factors to their estimates. A wrong or far link can throw an estimate to
-// where the linearisation means nothing; there the points go only part of the way.
+// Moves the linearisation points of the poses with the worst factors to their estimates. A wrong or far link can throw
+// an estimate to where the linearisation means nothing; there the points go only part of the way.
 template <class Pose>
 bool IncrementalSolver<Pose>::RelinearizeWorst(double times, std::optional<Clock::time_point> deadline,
                                                StepReport& report) {
@@ -271,7 +281,8 @@ template <class Pose>
 void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point start, StepReport& report) {
   std::optional<Clock::time_point> deadline;
   if (options_.budget_seconds > 0) {
-    deadline = start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(options_.budget_seconds));
+    deadline =
+        start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(options_.budget_seconds));
   }
   if (IsRelinearizationDue() || deferred_) RelinearizeWorst(1, deadline, report);
   const auto is_urgent = [&] { return possible_error_ > kUrgent * options_.relinearize_tolerance * CostUnit(); };

@@ -19,8 +19,9 @@ double DefaultThreshold(Gate gate) {
 std::string FindDefect(const IncrementalOptions& options) {
   const auto is_size = [](double x) { return std::isfinite(x) && x >= 0; };
   if (std::isnan(options.gate_threshold)) return "the gate's threshold is not a number";
-  if (!is_size(options.relinearize_tolerance) || !is_size(options.relinearize_metres) || !is_size(options.relinearize_radians) || !is_size(options.step_metres) ||
-      !is_size(options.step_radians) || !is_size(options.propagation_tolerance)) {
+  if (!is_size(options.relinearize_tolerance) || !is_size(options.relinearize_metres) ||
+      !is_size(options.relinearize_radians) || !is_size(options.step_metres) || !is_size(options.step_radians) ||
+      !is_size(options.propagation_tolerance)) {
     return "tolerances must not be negative";
   }
   if (options.relinearize_interval < 1) return "the relinearisation interval must be at least 1";

@@ -173,6 +173,8 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     graph_.SetFixed(update.poses[k].id, update.poses[k].fixed);
     linearization_points_.push_back(plan.new_values[k]);
     possible_of_.push_back(0);
+    remembered_.emplace_back();
+    remembered_in_.push_back(0);
     seen_.push_back(Vector<B>::Zero());
   }
   const auto bind = [&](int slot, FactorId id) {

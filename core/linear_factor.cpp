@@ -53,8 +53,7 @@ Vector<Pose::kDof> Residual(const Factor<Pose>& factor, const Pose& T_world_firs
   }
   if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) return f->T_world_body.Local(T_world_first);
   Vector<Pose::kDof> out = Vector<Pose::kDof>::Zero();
-  out.template head<Pose::kDim>() =
-      T_world_first.Translation() - std::get<PositionPriorFactor<Pose>>(factor).p_world;
+  out.template head<Pose::kDim>() = T_world_first.Translation() - std::get<PositionPriorFactor<Pose>>(factor).p_world;
   return out;
 }
 
@@ -77,7 +76,7 @@ int Dimension(const Factor<Pose>& factor) {
   template LinearFactor<Pose::kDof> Linearize<Pose>(const Factor<Pose>&, const Matrix<Pose::kDof, Pose::kDof>&, int, \
                                                     int, const Pose&, const Pose&);                                  \
   template LinearFactor<Pose::kDof> Anchor<Pose::kDof>(int, const Vector<Pose::kDof>&);                              \
-  template Vector<Pose::kDof> Residual<Pose>(const Factor<Pose>&, const Pose&, const Pose&);                          \
+  template Vector<Pose::kDof> Residual<Pose>(const Factor<Pose>&, const Pose&, const Pose&);                         \
   template int Dimension<Pose>(const Factor<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

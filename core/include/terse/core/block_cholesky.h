@@ -56,9 +56,9 @@ class BlockCholesky {
     std::vector<double> update;
     int update_separators = 0;
     std::vector<Correction> corrections;
-    double log_det = 0;  // sum of 2 ln L_kk
-    double y2 = 0;       // sum of |y|^2
-    bool fresh = true;   // changed since the last Solve
+    double log_det = 0;                         // sum of 2 ln L_kk
+    double y2 = 0;                              // sum of |y|^2
+    bool fresh = true;                          // changed since the last Solve
     int ordered_rows = 0, ordered_columns = 0;  // when it was last ordered
     int Rows() const { return B * static_cast<int>(pivots.size() + separators.size()) + 1; }
     int Columns() const { return B * static_cast<int>(pivots.size()); }
@@ -73,8 +73,8 @@ class BlockCholesky {
 
   struct UpdateReport {
     bool ok = false;
-    int failed_variable = -1;       // where the matrix was found not to be positive definite
-    std::vector<int> added_slots;   // one per added factor
+    int failed_variable = -1;      // where the matrix was found not to be positive definite
+    std::vector<int> added_slots;  // one per added factor
     FactorPath path = FactorPath::kNone;
     int fronts_updated = 0;         // by rank-k update
     int fronts = 0, variables = 0;  // refactored
@@ -97,8 +97,8 @@ class BlockCholesky {
 
   // Back-substitution L' d = y from the roots. A subtree is skipped where no front changed and no separator
   // moved enough: a variable whose move, all else held, would change the linearised chi2 by no more than `threshold`
-  // keeps its old value. 0 is exact. Returns the variables whose d changed. When the deadline has passed, the subtrees not yet
-  // visited wait for the next Solve; where most moved above comes first.
+  // keeps its old value. 0 is exact. Returns the variables whose d changed. When the deadline has passed, the subtrees
+  // not yet visited wait for the next Solve; where most moved above comes first.
   std::vector<int> Solve(double threshold = 0, std::optional<Clock::time_point> deadline = std::nullopt);
   struct SolveReport {
     double flops = 0;  // twice the entries visited
@@ -114,7 +114,9 @@ class BlockCholesky {
 
   int Variables() const { return static_cast<int>(front_of_.size()); }
   double LogDeterminant() const { return static_cast<double>(log_det_); }  // ln det H
-  double NewtonDecrement() const { return static_cast<double>(y2_); }     // |y|^2 = b' H^-1 b: the predicted decrease of chi2
+  double NewtonDecrement() const {
+    return static_cast<double>(y2_);
+  }  // |y|^2 = b' H^-1 b: the predicted decrease of chi2
   // b = -A'r at the linearisation point, minus half the gradient of chi2; B scalars per variable.
   std::vector<double> Gradient() const;
   // diag(H).
@@ -163,6 +165,7 @@ class BlockCholesky {
   bool PlanRankUpdate(const Changes& changes, int old_variables, const std::vector<int>& affected,
                       const std::vector<int>& added_slots, RankPath& path);
   bool IsCheaper(const RankPath& path);
+  int ResumeRoot(Front& front, int first, const double* W, int columns);
   int RankUpdateFront(Changed& changed, const std::vector<const Front*>& below, int old_variables,
                       UpdateReport& report);
   int RankUpdate(const RankPath& path, int old_variables, UpdateReport& report);
@@ -189,12 +192,12 @@ class BlockCholesky {
   SolveReport last_solve_;
   Method method_ = Method::kCheapest;
   // Scratch that stays allocated, so that an update costs nothing for what it does not touch.
-  std::vector<int> row_of_;        // by variable: first row in the front at hand
-  std::vector<int> local_;         // by variable: index in the region at hand, else -1
-  std::vector<char> is_affected_;  // by front
-  std::vector<Vector<B>> diagonal_;  // of H, by variable
-  std::vector<double> moved_;      // by variable: what its change in the Solve at hand is worth
-  std::vector<int> position_;      // by front: in the path at hand
+  std::vector<int> row_of_;              // by variable: first row in the front at hand
+  std::vector<int> local_;               // by variable: index in the region at hand, else -1
+  std::vector<char> is_affected_;        // by front
+  std::vector<Vector<B>> diagonal_;      // of H, by variable
+  std::vector<double> moved_;            // by variable: what its change in the Solve at hand is worth
+  std::vector<int> position_;            // by front: in the path at hand
   std::vector<std::uint64_t> stamp_of_;  // by variable: the last front that it was seen in
   std::uint64_t stamp_ = 0;
   double debt_ = 0;  // flops that rank-k updates took more since the last ordering because nothing was ordered

@@ -59,7 +59,7 @@ struct IncrementalOptions {
   double propagation_tolerance = 1e-7;
 
   // Gauss-Newton iterations in a step (A's tau_GN, 10 there). kOffset: more than one only after a far loop.
-  int max_iterations = 4;
+  int max_iterations = 2;
   // kPoint: the step tolerance (A's tau_d).
   double step_metres = 1e-3;
   double step_radians = 1e-3;

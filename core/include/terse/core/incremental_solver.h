@@ -103,9 +103,10 @@ class IncrementalSolver {
   bool IsRelinearizationDue() const {
     return !moved_.empty() && updates_ - looked_at_ >= options_.relinearize_interval;
   }
-  Vector<Pose::kDof> WhitenedResidualAt(int slot) const;
-  double LinearizationError(int slot) const;
-  double ErrorAfter(int slot, const std::map<int, Pose>& points) const;
+  const Pose& RememberedEstimate(int index);
+  Vector<Pose::kDof> WhitenedResidualAt(int slot);
+  double LinearizationError(int slot);
+  double ErrorAfter(int slot, const std::map<int, Pose>& points);
   void UpdateLinearizationErrors();
   void SetLinearizationError(int slot, double error);
   // What is far below the tolerance is counted but not looked for.
@@ -137,22 +138,25 @@ class IncrementalSolver {
   int anchor_slot_ = -1;
   Vector<B> anchor_information_ = Vector<B>::Zero();
   AbsoluteFactors absolute_;
-  std::vector<int> moved_;       // poses that turned since their factors' errors were looked at
+  std::vector<int> moved_;           // poses that turned since their factors' errors were looked at
   std::vector<double> possible_of_;  // by pose index: PossibleError, 0 if not in moved_
-  std::vector<Vector<B>> seen_;  // by pose index: d when its factors' errors were looked at
-  double possible_error_ = 0;    // of moved_
-  std::vector<double> error_of_slot_;     // |r(estimate) - (r + A d)|^2 when last looked at
+  std::vector<Vector<B>> seen_;      // by pose index: d when its factors' errors were looked at
+  double possible_error_ = 0;        // of moved_
+  std::vector<Pose> remembered_;     // estimates, by pose index
+  std::vector<long> remembered_in_;  // the look that they are from
+  long look_ = 0;
+  std::vector<double> error_of_slot_;  // |r(estimate) - (r + A d)|^2 when last looked at
   double error_sum_ = 0;
-  std::vector<int> suspects_;             // slots with an error worth looking at
+  std::vector<int> suspects_;                 // slots with an error worth looking at
   std::vector<char> is_suspect_, is_listed_;  // by slot
-  long updates_ = 0, looked_at_ = 0;      // steps; the one that last looked for errors
+  long updates_ = 0, looked_at_ = 0;          // steps; the one that last looked for errors
   // Of the linearised system: chi2 at the linearisation points, and at the present d.
   double cost_at_points_ = 0, linear_cost_ = 0;
   long measured_scalars_ = 0;
   double eta_ = 0;  // 1/2 ln |H| when the previous step's factors had been added
   int eta_variables_ = 0;
   double seconds_per_flop_ = 1e-9;  // of relinearisation, measured
-  bool deferred_ = false;  // work is left from earlier steps
+  bool deferred_ = false;           // work is left from earlier steps
   PhaseSeconds seconds_;
 };
 
