@@ -100,11 +100,13 @@ std::vector<int> BlockCholesky<B>::Solve(double threshold, std::optional<Clock::
       if (largest > 0 || fronts_[At(child)].fresh) stack.emplace_back(largest, child);
     }
   }
-  last_solve_.deferred = static_cast<int>(stack.size());
   for (const Entry& entry : stack) {
     fronts_[At(entry.second)].fresh = true;
     waiting_.push_back(entry.second);
   }
+  std::sort(waiting_.begin(), waiting_.end());
+  waiting_.erase(std::unique(waiting_.begin(), waiting_.end()), waiting_.end());
+  last_solve_.deferred = static_cast<int>(waiting_.size());
   for (const int v : changed) moved_[At(v)] = 0;
   return changed;
 }

@@ -123,12 +123,15 @@ std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times, st
   report.deferred_relinearisations = 0;
   const auto add = [&](int v) {
     if (v < 0 || !IsOutgrown(v) || points.count(v) != 0) return;
-    const double more = deadline ? PathFlops(v, fronts) : 0;
-    if (flops + more > affordable) {
-      ++report.deferred_relinearisations;
-      return;
+    if (deadline) {
+      const double more = PathFlops(v, fronts);
+      if (flops + more > affordable) {
+        ++report.deferred_relinearisations;
+        return;
+      }
+      flops += more;
+      TakePath(v, fronts);
     }
-    flops += more;
     points.emplace(v, RememberedEstimate(v));
     added.push_back(v);
   };
@@ -159,13 +162,18 @@ double IncrementalSolver<Pose>::AffordableFlops(Clock::time_point deadline) cons
 
 // Of refactoring the fronts from the variable to the root that are not in `fronts` yet.
 template <class Pose>
-double IncrementalSolver<Pose>::PathFlops(int variable, std::unordered_set<int>& fronts) const {
+double IncrementalSolver<Pose>::PathFlops(int variable, const std::unordered_set<int>& fronts) const {
   double flops = 0;
-  for (int f = factor_.FrontOf(variable); f >= 0 && fronts.insert(f).second; f = factor_.FrontAt(f).parent) {
+  for (int f = factor_.FrontOf(variable); f >= 0 && fronts.count(f) == 0; f = factor_.FrontAt(f).parent) {
     const double rows = factor_.FrontAt(f).Rows(), s = rows - factor_.FrontAt(f).Columns();
     flops += (std::pow(rows, 3) - std::pow(s, 3)) / 3;
   }
   return flops;
+}
+
+template <class Pose>
+void IncrementalSolver<Pose>::TakePath(int variable, std::unordered_set<int>& fronts) const {
+  for (int f = factor_.FrontOf(variable); f >= 0 && fronts.insert(f).second;) f = factor_.FrontAt(f).parent;
 }
 
 // The linearisation error of a factor when these poses are relinearised.
@@ -227,13 +235,7 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
   changes.replaced = std::move(replaced);
   std::vector<int> slots;
   for (const auto& change : changes.replaced) slots.push_back(change.first);
-  const auto start = Clock::now();
-  const double flops = report.flops;
   if (!UpdateFactor(std::move(changes), report).ok) return false;
-  if (report.flops - flops > 1e5) {
-    const double measured = std::chrono::duration<double>(Clock::now() - start).count() / (report.flops - flops);
-    seconds_per_flop_ += 0.3 * (measured - seconds_per_flop_);
-  }
   for (const auto& factor : before) ChangeCosts(factor, -1);
   for (const auto& [v, T] : points) {
     linearization_points_[At(v)] = T;
@@ -274,7 +276,21 @@ bool IncrementalSolver<Pose>::RelinearizeWorst(double times, std::optional<Clock
       replaced = LinearizeAround(points);
     }
   }
-  return Relinearize(points, std::move(replaced), report);
+  const auto start = Clock::now();
+  std::unordered_set<int> fronts;
+  double flops = 0;
+  if (deadline) {
+    for (const auto& [v, T] : points) {
+      flops += PathFlops(v, fronts);
+      TakePath(v, fronts);
+    }
+  }
+  if (!Relinearize(points, std::move(replaced), report)) return false;
+  if (deadline) {
+    const double measured = std::chrono::duration<double>(Clock::now() - start).count() / std::max(flops, 1e3);
+    seconds_per_flop_ += 0.3 * (measured - seconds_per_flop_);
+  }
+  return true;
 }
 
 template <class Pose>

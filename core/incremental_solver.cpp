@@ -37,9 +37,11 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
     PlanFactors(update, plan);
     PlanAnchor(update, plan);
   }
-  GateValues before = ValuesForGate();
+  const GateValues before = ValuesForGate();
   AddToFactor(update, plan, report);
   DecideGate(update, plan, before, report);
+  const bool report_cost = options_.report_cost && options_.carry == Carry::kOffset;
+  if (report_cost) report.actual_decrease = TimedChi2(report);
   const int new_poses = static_cast<int>(update.poses.size());
   if (options_.carry == Carry::kPoint) {
     MovePoints(new_poses, start, report);
@@ -49,8 +51,18 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   } else {
     OptimizeOffsets(start, report);
   }
+  if (report_cost) report.actual_decrease -= TimedChi2(report);
   report.seconds += std::chrono::duration<double>(Clock::now() - start).count();
   return report;
+}
+
+// Chi2, its time taken off the step's.
+template <class Pose>
+double IncrementalSolver<Pose>::TimedChi2(StepReport& report) const {
+  const auto start = Clock::now();
+  const double chi2 = Chi2();
+  report.seconds -= std::chrono::duration<double>(Clock::now() - start).count();
+  return chi2;
 }
 
 template <class Pose>

@@ -79,7 +79,7 @@ struct IncrementalOptions {
   // Absent: as gauge.h describes.
   std::optional<double> anchor_information;
 
-  // Fill in StepReport::actual_decrease (evaluates the factors on moved poses once more).
+  // kOffset: fill in StepReport::actual_decrease (evaluates all factors twice, outside the time that is reported).
   bool report_cost = false;
   // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
   bool report_paper_flops = false;
@@ -107,7 +107,7 @@ struct StepReport {
   int variables_relinearised = 0;
   int variables_moved = 0;        // whose estimate changed
   double predicted_decrease = 0;  // of chi2 by this step, linearised; kPoint: of the full step if the gate is open
-  double actual_decrease = 0;     // of chi2 over the factors on moved poses; if report_cost, and always in kPoint
+  double actual_decrease = 0;     // of chi2; if report_cost, and always in kPoint
   double gain_nats = 0;           // of the new factors about the poses known before
   int deferred_relinearisations = 0;
   int deferred_fronts = 0;  // subtrees that back-substitution left for later

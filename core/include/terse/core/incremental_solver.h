@@ -85,6 +85,7 @@ class IncrementalSolver {
   // incremental_solver.cpp
   void AddToFactor(const GraphUpdate<Pose>& update, Plan& plan, StepReport& report);
   typename BlockCholesky<B>::UpdateReport UpdateFactor(typename BlockCholesky<B>::Changes changes, StepReport& report);
+  double TimedChi2(StepReport& report) const;
   // incremental_gate.cpp
   GateValues ValuesForGate() const;
   void ChangeCosts(const LinearFactor<B>& factor, int sign);
@@ -113,7 +114,8 @@ class IncrementalSolver {
   bool IsSuspicious(double error) const { return error > 1e-5 * options_.relinearize_tolerance * CostUnit(); }
   std::map<int, Pose> PosesToRelinearize(double times, std::optional<Clock::time_point> deadline, StepReport& report);
   double AffordableFlops(Clock::time_point deadline) const;
-  double PathFlops(int variable, std::unordered_set<int>& fronts) const;
+  double PathFlops(int variable, const std::unordered_set<int>& fronts) const;
+  void TakePath(int variable, std::unordered_set<int>& fronts) const;
   LinearFactor<Pose::kDof> LinearizeSlot(int slot, const PointOf& point) const;
   Replacements LinearizeAround(const std::map<int, Pose>& points) const;
   bool Relinearize(const std::map<int, Pose>& points, Replacements replaced, StepReport& report);
@@ -155,7 +157,7 @@ class IncrementalSolver {
   long measured_scalars_ = 0;
   double eta_ = 0;  // 1/2 ln |H| when the previous step's factors had been added
   int eta_variables_ = 0;
-  double seconds_per_flop_ = 1e-9;  // of relinearisation, measured
+  double seconds_per_flop_ = 1e-9;  // of relinearisation: measured, by the flops that were predicted
   bool deferred_ = false;           // work is left from earlier steps
   PhaseSeconds seconds_;
 };
