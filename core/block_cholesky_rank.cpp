@@ -83,7 +83,7 @@ int BlockCholesky<B>::Append(int old_variables, UpdateReport& report) {
     front.ordered_columns = front.Columns();
     front.panel.resize(At(front.Rows()) * B);
     front.update.resize((B + 1) * (B + 1));
-    const int failed = FactorFront(front, {}, {});
+    const int failed = FactorFront(front, {}, {}, row_of_, false);
     if (failed >= 0) return failed;
     std::fill(front.update.begin(), front.update.end(), 0.0);  // but for rounding it is
     pending.push_back(std::move(front));
