@@ -3,6 +3,7 @@
 // result from one body only, and cuts the work where the number of threads has no say.
 
 #include <tbb/blocked_range.h>
+#include <tbb/global_control.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 #include <tbb/task_group.h>
@@ -14,10 +15,12 @@
 
 namespace terse::internal {
 
-// Runs body() with room for so many threads; ForEachChunk and ForEachBottomUp inside it share them.
+// Runs body() with room for so many threads; ForEachChunk and ForEachBottomUp inside it share them. No more than the
+// process may have, by default one per processor: oneTBB would complain on standard error.
 template <class Body>
 void WithThreads(int threads, const Body& body) {
-  tbb::task_arena(threads).execute(body);
+  const auto allowed = tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism);
+  tbb::task_arena(static_cast<int>(std::min(static_cast<std::size_t>(threads), allowed))).execute(body);
 }
 
 // Inside WithThreads: the calling thread's number, below that of the threads.
