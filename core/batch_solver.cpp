@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <optional>
 #include <stdexcept>
 
+#include "parallel.h"
 #include "stopwatch.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
@@ -18,13 +20,16 @@ using internal::ScopedTimer;
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
+constexpr size_t kChunk = 256;  // factors or poses that a thread takes at a time
+
 // The graph's factors by pose index, the fixed poses' priors behind them, and the anchor.
 template <class Pose>
 class Problem {
  public:
   static constexpr int B = Pose::kDof;
 
-  explicit Problem(const PoseGraph<Pose>& graph) : graph_(graph) {
+  Problem(const PoseGraph<Pose>& graph, int threads) : graph_(graph), threads_(threads) {
+    if (threads < 1) throw std::invalid_argument("at least one thread is needed");
     if (graph.Poses().empty()) throw std::invalid_argument("the graph has no poses");
     terms_.reserve(graph.Factors().size());
     for (const auto& node : graph.Factors()) Add(&node.factor);
@@ -42,29 +47,24 @@ class Problem {
   typename BlockCholesky<B>::Changes Everything(const std::vector<Pose>& values) const {
     typename BlockCholesky<B>::Changes all;
     all.new_variables = static_cast<int>(graph_.Poses().size());
-    all.added.reserve(terms_.size() + 1);
-    for (const Term& term : terms_) all.added.push_back(LinearizeTerm(term, values));
+    all.added = LinearizeTerms(values);
     all.added.push_back(anchor_);
     return all;
   }
 
-  // Slots are those of Everything() on an empty factor: 0, 1, ...
-  void LinearizeInto(BlockCholesky<B>& factor, const std::vector<Pose>& values) const {
-    for (size_t k = 0; k < terms_.size(); ++k) {
-      factor.SetFactor(static_cast<int>(k), LinearizeTerm(terms_[k], values));
-    }
+  // In the order of Everything() on an empty factor: slots 0, 1, ...
+  std::vector<LinearFactor<B>> LinearizeTerms(const std::vector<Pose>& values) const {
+    std::vector<LinearFactor<B>> out(terms_.size());
+    internal::SpreadChunks(threads_, terms_.size(), kChunk, [&](size_t begin, size_t end) {
+      for (size_t k = begin; k < end; ++k) out[k] = LinearizeTerm(terms_[k], values);
+    });
+    return out;
   }
 
   // chi2 of the measurements, and what the fixed poses' priors add.
   double Cost(const std::vector<Pose>& values, double& chi2) const {
-    double sum = 0;
-    for (size_t k = 0; k < terms_.size(); ++k) {
-      if (k == counted_) chi2 = sum;
-      const Term& t = terms_[k];
-      sum += FactorChi2(*t.factor, values[At(t.first)], values[At(t.second)]);
-    }
-    if (counted_ == terms_.size()) chi2 = sum;
-    return sum;
+    chi2 = SumOfCosts(values, 0, counted_);
+    return chi2 + SumOfCosts(values, counted_, terms_.size());
   }
 
  private:
@@ -77,11 +77,25 @@ class Problem {
     const FactorPoses ends = PosesOf(*factor);
     terms_.push_back({factor, graph_.IndexOf(ends.first), graph_.IndexOf(ends.second), SquareRootInformation(*factor)});
   }
+  // Of terms [first, last): chunk by chunk, so that the number of threads does not change the sum.
+  double SumOfCosts(const std::vector<Pose>& values, size_t first, size_t last) const {
+    std::vector<double> sums((last - first + kChunk - 1) / kChunk, 0.0);
+    internal::SpreadChunks(threads_, last - first, kChunk, [&](size_t begin, size_t end) {
+      double sum = 0;
+      for (size_t k = first + begin; k < first + end; ++k) {
+        const Term& t = terms_[k];
+        sum += FactorChi2(*t.factor, values[At(t.first)], values[At(t.second)]);
+      }
+      sums[begin / kChunk] = sum;
+    });
+    return std::accumulate(sums.begin(), sums.end(), 0.0);
+  }
   static LinearFactor<B> LinearizeTerm(const Term& t, const std::vector<Pose>& values) {
     return Linearize(*t.factor, t.W, t.first, t.second, values[At(t.first)], values[At(t.second)]);
   }
 
   const PoseGraph<Pose>& graph_;
+  int threads_;
   std::vector<Term> terms_;
   size_t counted_ = 0;  // terms that make up chi2
   std::vector<Factor<Pose>> fixed_;
@@ -107,12 +121,13 @@ class Damping {
 };
 
 template <class Pose>
-std::vector<Pose> Step(const std::vector<Pose>& values, const std::vector<double>& d) {
-  std::vector<Pose> out;
-  out.reserve(values.size());
-  for (size_t v = 0; v < values.size(); ++v) {
-    out.push_back(values[v].Retract(Eigen::Map<const Vector<Pose::kDof>>(d.data() + v * Pose::kDof)));
-  }
+std::vector<Pose> Step(const std::vector<Pose>& values, const std::vector<double>& d, int threads) {
+  std::vector<Pose> out(values.size());
+  internal::SpreadChunks(threads, values.size(), kChunk, [&](size_t begin, size_t end) {
+    for (size_t v = begin; v < end; ++v) {
+      out[v] = values[v].Retract(Eigen::Map<const Vector<Pose::kDof>>(d.data() + v * Pose::kDof));
+    }
+  });
   return out;
 }
 
@@ -129,9 +144,10 @@ class Run {
   static constexpr int B = Pose::kDof;
 
   Run(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial, const BatchOptions& options)
-      : graph_(graph), problem_(graph), options_(options) {
+      : graph_(graph), problem_(graph, options.threads), options_(options) {
     if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
     result_.T_world_body = initial;
+    result_.factor.SetThreads(options.threads);
   }
 
   BatchResult<Pose> Execute() && {
@@ -200,7 +216,7 @@ class Run {
   bool RefactorAt(double lambda) {
     if (!linearised_here_) {
       ScopedTimer timer(result_.seconds.linearise);
-      problem_.LinearizeInto(result_.factor, result_.T_world_body);
+      result_.factor.SetFactors(problem_.LinearizeTerms(result_.T_world_body));
       linearised_here_ = true;
     }
     ScopedTimer timer(result_.seconds.factor);
@@ -228,7 +244,7 @@ class Run {
     }
     double predicted = result_.factor.NewtonDecrement();
     for (size_t i = 0; i < damping_.size(); ++i) predicted += damping_[i] * d[i] * d[i];
-    State trial{Step(result_.T_world_body, d)};
+    State trial{Step(result_.T_world_body, d, options_.threads)};
     trial.cost = problem_.Cost(trial.values, trial.chi2);
     const double decrease = cost_ - trial.cost;
     // chi2 has no unit: below the constant it is rounding.
@@ -327,7 +343,7 @@ template <class Pose>
 BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body) {
   if (T_world_body.size() != graph.Poses().size()) throw std::invalid_argument("one value per pose is needed");
   BlockCholesky<Pose::kDof> factor;
-  const auto report = factor.Update(Problem<Pose>(graph).Everything(T_world_body));
+  const auto report = factor.Update(Problem<Pose>(graph, 1).Everything(T_world_body));
   if (!report.ok) {
     throw NumericalError("the system is singular at pose " +
                          std::to_string(graph.Poses()[At(report.failed_variable)].id.value));

@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "dense_kernels.h"
+#include "parallel.h"
 #include "version.h"
 
 namespace terse {
@@ -12,29 +13,48 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
+constexpr size_t kChunk = 256;  // factors or variables that a thread takes at a time
+
 }  // namespace
 
 template <int B>
-void BlockCholesky<B>::SetFactor(int slot, const LinearFactor<B>& factor) {
-  const LinearFactor<B>& old = factors_.at(At(slot));
-  if (old.first != factor.first || old.second != factor.second)
-    throw std::invalid_argument("a factor may not change its variables");
-  SetSlot(slot, factor);
-  RecountDiagonal(factor.first);
-  RecountDiagonal(factor.second);
+void BlockCholesky<B>::SetThreads(int threads) {
+  if (threads < 1) throw std::invalid_argument("at least one thread is needed");
+  threads_ = threads;
+}
+
+template <int B>
+void BlockCholesky<B>::SetFactors(const std::vector<LinearFactor<B>>& factors) {
+  if (factors.size() > factors_.size()) throw std::invalid_argument("no such factor slot");
+  for (size_t k = 0; k < factors.size(); ++k) {
+    if (factors_[k].first != factors[k].first || factors_[k].second != factors[k].second) {
+      throw std::invalid_argument("a factor may not change its variables");
+    }
+  }
+  internal::SpreadChunks(threads_, factors.size(), kChunk, [&](size_t begin, size_t end) {
+    for (size_t k = begin; k < end; ++k) SetSlot(static_cast<int>(k), factors[k]);
+  });
+  internal::SpreadChunks(threads_, front_of_.size(), kChunk, [&](size_t begin, size_t end) {
+    for (size_t v = begin; v < end; ++v) RecountDiagonal(static_cast<int>(v));
+  });
 }
 
 template <int B>
 bool BlockCholesky<B>::Refactor(const std::vector<double>& damping) {
   version_ = internal::NextVersion();
-  std::vector<int> order = TopDown();
+  const std::vector<int> order = TopDown();
+  position_.resize(fronts_.size(), 0);
+  std::vector<Front*> fronts;
+  std::vector<int> parents(order.size(), -1);
   for (auto it = order.rbegin(); it != order.rend(); ++it) {
-    Front& front = fronts_[At(*it)];
-    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
-    if (front.panel.size() < rows * At(front.Columns())) front.panel = pool_.Take(rows * At(front.Columns()));
-    if (front.update.size() < n * n) front.update = pool_.Take(n * n);
-    if (FactorFront(front, {}, damping) >= 0) return false;
+    position_[At(*it)] = static_cast<int>(fronts.size());
+    fronts.push_back(&fronts_[At(*it)]);
   }
+  for (size_t k = 0; k < fronts.size(); ++k) {
+    if (fronts[k]->parent >= 0) parents[k] = position_[At(fronts[k]->parent)];
+  }
+  double flops = 0;
+  if (FactorFronts(fronts, parents, {}, damping, flops) >= 0) return false;
   log_det_ = y2_ = 0;
   for (const int f : order) {
     fronts_[At(f)].fresh = true;

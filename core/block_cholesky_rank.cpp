@@ -83,7 +83,7 @@ int BlockCholesky<B>::Append(int old_variables, UpdateReport& report) {
     front.ordered_columns = front.Columns();
     front.panel.resize(At(front.Rows()) * B);
     front.update.resize((B + 1) * (B + 1));
-    const int failed = FactorFront(front, {}, {});
+    const int failed = FactorFront(front, {}, {}, row_of_, false);
     if (failed >= 0) return failed;
     std::fill(front.update.begin(), front.update.end(), 0.0);  // but for rounding it is
     pending.push_back(std::move(front));
@@ -201,12 +201,12 @@ int BlockCholesky<B>::ResumeRoot(Front& front, int first, const double* W, int c
     std::copy_n(panel(c) + c, n - c, L.data() + At(c) * At(n) + At(c));
   }
   const auto& kernels = internal::Kernels();
-  kernels.subtract_product(C.data(), n, L.data(), L.data(), n, t);
-  kernels.subtract_product(C.data(), n, W + first, W + first, rows, columns);
+  kernels.subtract_product(C.data(), n, L.data(), L.data(), n, n, n, t);
+  kernels.subtract_product(C.data(), n, W + first, W + first, rows, n, n, columns);
   for (int c = 0; c < t; ++c) {
     for (int r = c; r < n; ++r) C[At(c) * At(n) + At(r)] *= -1;
   }
-  const int failed = kernels.factor_panel(C.data(), n, t);
+  const int failed = kernels.factor_panel(C.data(), n, n, t);
   for (int c = 0; c < t; ++c) std::copy_n(C.data() + At(c) * At(n) + At(c), n - c, panel(c) + c);
   for (std::vector<double>* buffer : {&L, &C}) {
     pool_.MakeRoom(buffer->size());

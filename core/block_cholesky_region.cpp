@@ -1,7 +1,6 @@
 // The touched part of the tree, ordered and factored again.
 
 #include <algorithm>
-#include <cmath>
 
 #include "block_cholesky_parts.h"
 #include "stopwatch.h"
@@ -11,13 +10,6 @@ namespace {
 
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
-
-// Sum of the squared column counts.
-double FactorFlops(double rows, double pivots) {
-  double flops = 0;
-  for (double c = 0; c < pivots; ++c) flops += (rows - c) * (rows - c);
-  return flops;
-}
 
 }  // namespace
 
@@ -106,15 +98,13 @@ std::vector<typename BlockCholesky<B>::Front> BlockCholesky<B>::MakeFronts(const
 // Returns the variable at which the new fronts turn out not to be positive definite, or -1.
 template <int B>
 int BlockCholesky<B>::FactorPending(std::vector<Front>& pending, UpdateReport& report) {
+  std::vector<Front*> fronts;
+  std::vector<int> parents;
   for (Front& front : pending) {
-    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
-    front.panel = pool_.Take(rows * At(front.Columns()));
-    front.update = pool_.Take(n * n);
-    const int failed = FactorFront(front, pending, {});
-    if (failed >= 0) return failed;
-    report.flops += FactorFlops(front.Rows(), front.Columns());
+    fronts.push_back(&front);
+    parents.push_back(front.parent);
   }
-  return -1;
+  return FactorFronts(fronts, parents, pending, {}, report.flops);
 }
 
 // The pending fronts take the place of the affected ones. All memory was reserved before.

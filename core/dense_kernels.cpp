@@ -2,13 +2,14 @@
 
 namespace terse::internal {
 
-#define TERSE_DECLARE_KERNELS(set)                                                                    \
-  namespace set {                                                                                     \
-  int FactorPanel(double* panel, int rows, int pivots);                                               \
-  void SubtractProduct(double* c, int n, const double* a, const double* b, int ld, int depth);        \
-  void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);      \
-  void BackSubstitute(const double* panel, int rows, int pivots, double* x);                          \
-  constexpr DenseKernels kKernels = {#set, FactorPanel, SubtractProduct, RankUpdate, BackSubstitute}; \
+#define TERSE_DECLARE_KERNELS(set)                                                                          \
+  namespace set {                                                                                           \
+  int FactorPanel(double* panel, int ld, int rows, int pivots);                                             \
+  void SubtractProduct(double* c, int ldc, const double* a, const double* b, int ld, int rows, int columns, \
+                       int depth);                                                                          \
+  void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);            \
+  void BackSubstitute(const double* panel, int rows, int pivots, double* x);                                \
+  constexpr DenseKernels kKernels = {#set, FactorPanel, SubtractProduct, RankUpdate, BackSubstitute};       \
   }
 TERSE_DECLARE_KERNELS(baseline)
 #ifdef TERSE_X86_KERNELS

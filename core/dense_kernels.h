@@ -9,10 +9,12 @@ namespace terse::internal {
 struct DenseKernels {
   const char* name;
   // In place on the first `pivots` columns of a lower-trapezoidal panel with `rows` rows and leading dimension
-  // `rows`: top = L L', bottom = bottom L^-T. Returns the column whose pivot is not positive and finite, or -1.
-  int (*factor_panel)(double* panel, int rows, int pivots);
-  // Lower triangle of C (n x n, leading dimension n) -= A B', A and B n x depth with leading dimension ld.
-  void (*subtract_product)(double* c, int n, const double* a, const double* b, int ld, int depth);
+  // ld: top = L L', bottom = bottom L^-T. Returns the column whose pivot is not positive and finite, or -1.
+  int (*factor_panel)(double* panel, int ld, int rows, int pivots);
+  // Lower trapezoid of C (rows x columns, leading dimension ldc) -= A B', A rows x depth, B columns x depth, both with
+  // leading dimension ld.
+  void (*subtract_product)(double* c, int ldc, const double* a, const double* b, int ld, int rows, int columns,
+                           int depth);
   // The first `pivots` columns of [L; y'] (rows x pivots, lower trapezoidal, leading dimension ld) become those of
   // L L' + W W', W having `columns` columns and the same rows. What W holds in its other rows afterwards is the update
   // of what is below. Pivots may be zero.

@@ -199,8 +199,8 @@ void RankUpdateBlock(double* l, long ld, int rows, int pivots, double* w, long l
 
 namespace TERSE_KERNEL_NAMESPACE {
 
-int FactorPanel(double* panel, int rows, int pivots) {
-  const long ld = rows;
+int FactorPanel(double* panel, int leading, int rows, int pivots) {
+  const long ld = leading;
   constexpr int kBlock = 8;
   for (int k = 0; k < pivots; k += kBlock) {
     const int width = pivots - k < kBlock ? pivots - k : kBlock;
@@ -220,8 +220,8 @@ int FactorPanel(double* panel, int rows, int pivots) {
   return -1;
 }
 
-void SubtractProduct(double* c, int n, const double* a, const double* b, int ld, int depth) {
-  SubtractLower(c, n, a, b, ld, n, n, depth);
+void SubtractProduct(double* c, int ldc, const double* a, const double* b, int ld, int rows, int columns, int depth) {
+  SubtractLower(c, ldc, a, b, ld, rows, columns, depth);
 }
 
 void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns) {

@@ -26,6 +26,7 @@ std::string FindDefect(const IncrementalOptions& options) {
   }
   if (options.relinearize_interval < 1) return "the relinearisation interval must be at least 1";
   if (options.max_iterations < 1) return "at least one iteration is needed";
+  if (options.threads < 1) return "at least one thread is needed";
   if (!is_size(options.budget_seconds)) return "the budget must not be negative";
   if (options.anchor_information && !(*options.anchor_information > 0)) return "the anchor must be positive";
   return "";

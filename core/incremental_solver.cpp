@@ -23,6 +23,7 @@ template <class Pose>
 IncrementalSolver<Pose>::IncrementalSolver(const IncrementalOptions& options) : options_(options) {
   const std::string defect = FindDefect(options);
   if (!defect.empty()) throw std::invalid_argument("incremental options: " + defect);
+  factor_.SetThreads(options.threads);
 }
 
 template <class Pose>

@@ -153,10 +153,12 @@ TEST(BlockCholesky, BatchAndRefactorEqualDense) {
     for (std::size_t k = 0; k < changes.added.size(); ++k) mirror.by_slot[static_cast<int>(k)] = changes.added[k];
     ASSERT_TRUE(factor.Update(changes).ok);
     ExpectEqualsDense(factor, mirror);
+    std::vector<LinearFactor<3>> values;
     for (auto& [slot, f] : mirror.by_slot) {
       f = RandomFactor<3>(rng, f.first, f.second);
-      factor.SetFactor(slot, f);
+      values.push_back(f);
     }
+    factor.SetFactors(values);
     ASSERT_TRUE(factor.Refactor());
     ExpectEqualsDense(factor, mirror);
 

@@ -35,8 +35,8 @@ TEST(DenseKernels, EqualDenseCholesky) {
       Eigen::MatrixXd panel = Eigen::MatrixXd::Constant(rows, p, nan), update = Eigen::MatrixXd::Constant(n, n, nan);
       for (int c = 0; c < p; ++c) panel.col(c).tail(rows - c) = H.col(c).tail(rows - c);
       for (int c = 0; c < n; ++c) update.col(c).tail(n - c) = H.col(p + c).tail(n - c);
-      ASSERT_EQ(kernels.factor_panel(panel.data(), rows, p), -1);
-      kernels.subtract_product(update.data(), n, panel.data() + p, panel.data() + p, rows, p);
+      ASSERT_EQ(kernels.factor_panel(panel.data(), rows, rows, p), -1);
+      kernels.subtract_product(update.data(), n, panel.data() + p, panel.data() + p, rows, n, n, p);
       // Condition below 10, up to 340 rows.
       double error = 0;
       for (int c = 0; c < p; ++c)
@@ -59,7 +59,7 @@ TEST(DenseKernels, NameTheColumnThatIsNotPositive) {
         H.row(bad).setZero();
         H.col(bad).setZero();
         H(bad, bad) = pivot;
-        EXPECT_EQ(kernels.factor_panel(H.data(), 20, 20), bad) << kernels.name << ", pivot " << pivot;
+        EXPECT_EQ(kernels.factor_panel(H.data(), 20, 20, 20), bad) << kernels.name << ", pivot " << pivot;
       }
     }
   }

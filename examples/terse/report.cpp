@@ -102,7 +102,7 @@ nlohmann::ordered_json ToJson(const Stats& stats) {
                           {"p99", Percentile(steps, 0.99)},
                           {"max", Percentile(steps, 1)}};
   json["peak_rss_mb"] = PeakRssMegabytes();
-  json["threads"] = 1;
+  json["threads"] = stats.threads;
   json["version"] = TERSE_VERSION;
   return json;
 }

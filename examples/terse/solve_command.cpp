@@ -54,6 +54,7 @@ IncrementalOptions StepOptions(const SolveOptions& options) {
   out.budget_seconds = options.step_budget_ms / 1000;
   out.report_cost = !options.steps.empty();
   out.report_paper_flops = options.paper_flops;
+  out.threads = options.threads;
   return out;
 }
 
@@ -62,6 +63,7 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
   const double start = SecondsNow();
   Progress progress("iterations", 0, options.quiet);
   BatchOptions batch;
+  batch.threads = options.threads;
   batch.progress = [&](int iteration, double) {
     progress.Update(iteration);
     return true;
@@ -95,7 +97,9 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
   }
   if (steps_file) steps_file->Commit();
   stats.more["chi2_before_finish"] = solver.Chi2();
-  BatchResult<Pose> result = solver.Finish();
+  BatchOptions finish;
+  finish.threads = options.threads;
+  BatchResult<Pose> result = solver.Finish(finish);
   // From the solver's order of poses to the graph's.
   std::vector<Pose> values;
   for (const auto& node : graph.Poses()) {
@@ -185,6 +189,7 @@ void Solve(const SolveOptions& options) {
   const double start = SecondsNow();
   GraphFile file = ReadGraph(options.path, options.read);
   Stats stats;
+  stats.threads = options.threads;
   stats.seconds_read = SecondsNow() - start;
   if (!options.quiet) ReportRepairs(file, options.path);
   AddPathToErrors(options.path, [&] {
@@ -269,7 +274,7 @@ void AddSolveCommand(CLI::App& app) {
                    "Where the covariances go (CSV; standard output by default); alone it means diagonal")
       ->type_name("PATH");
   command->add_option("--stats", options->stats, "Write statistics (JSON)")->type_name("PATH");
-  command->add_option("--threads", options->threads, "Upper limit of threads; the solver needs only one")
+  command->add_option("--threads", options->threads, "Upper limit of threads; the result does not depend on it")
       ->check(CLI::PositiveNumber.description(""))
       ->type_name("N");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");

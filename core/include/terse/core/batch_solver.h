@@ -24,6 +24,7 @@ struct BatchOptions {
   int max_iterations = 200;
   // Converged when a step lowers chi2, or is predicted to, by less than this share of it.
   double relative_tolerance = 1e-11;
+  int threads = 1;  // at most; the result is the same to the last bit for any number
   // Called after every iteration with its number and chi2. Return false to stop.
   std::function<bool(int iteration, double chi2)> progress;
 };

@@ -90,9 +90,13 @@ class BlockCholesky {
   // changed and ok is false. Throws std::invalid_argument for changes that contradict each other or the graph.
   [[nodiscard]] UpdateReport Update(const Changes& changes);
 
-  // New values for all factors on the present structure: numeric work only. damping (B * Variables() scalars
-  // or empty) is added to the diagonal. If false, the factor is unusable until a Refactor succeeds.
-  void SetFactor(int slot, const LinearFactor<B>& factor);
+  // Up to so many threads share the work where there is enough; results are the same to the last bit for any number. 1 at
+  // first. Throws std::invalid_argument for less.
+  void SetThreads(int threads);
+
+  // New values for the factors of slots 0, 1, ... on the present structure: numeric work only. damping (B * Variables()
+  // scalars or empty) is added to the diagonal. If false, the factor is unusable until a Refactor succeeds.
+  void SetFactors(const std::vector<LinearFactor<B>>& factors);
   [[nodiscard]] bool Refactor(const std::vector<double>& damping = {});
 
   // Back-substitution L' d = y from the roots. A subtree is skipped where no front changed and no separator
@@ -170,9 +174,12 @@ class BlockCholesky {
                       UpdateReport& report);
   int RankUpdate(const RankPath& path, int old_variables, UpdateReport& report);
   // block_cholesky_front.cpp: the numbers of one front.
-  int FactorFront(Front& front, const std::vector<Front>& pending, const std::vector<double>& damping);
-  void AssembleFactor(Front& front, int slot);
-  void AssembleChild(Front& front, const Front& child);
+  int FactorFront(Front& front, const std::vector<Front>& pending, const std::vector<double>& damping,
+                  std::vector<int>& row_of, bool parallel);
+  int FactorFronts(const std::vector<Front*>& fronts, const std::vector<int>& parents,
+                   const std::vector<Front>& pending, const std::vector<double>& damping, double& flops);
+  void AssembleFactor(Front& front, int slot, const std::vector<int>& row_of);
+  void AssembleChild(Front& front, const Front& child, const std::vector<int>& row_of);
   void WorkInCorrections(Front& front);
   int SumPivots(Front& front, int first_column) const;
   std::vector<int> TopDown() const;
@@ -191,13 +198,15 @@ class BlockCholesky {
   std::vector<double> solution_;
   SolveReport last_solve_;
   Method method_ = Method::kCheapest;
+  int threads_ = 1;
   // Scratch that stays allocated, so that an update costs nothing for what it does not touch.
-  std::vector<int> row_of_;              // by variable: first row in the front at hand
-  std::vector<int> local_;               // by variable: index in the region at hand, else -1
-  std::vector<char> is_affected_;        // by front
-  std::vector<Vector<B>> diagonal_;      // of H, by variable
-  std::vector<double> moved_;            // by variable: what its change in the Solve at hand is worth
-  std::vector<int> position_;            // by front: in the path at hand
+  std::vector<int> row_of_;        // by variable: first row in the front at hand
+  std::vector<std::vector<int>> thread_row_of_;  // the same, by thread
+  std::vector<int> local_;         // by variable: index in the region at hand, else -1
+  std::vector<char> is_affected_;  // by front
+  std::vector<Vector<B>> diagonal_;  // of H, by variable
+  std::vector<double> moved_;      // by variable: what its change in the Solve at hand is worth
+  std::vector<int> position_;      // by front: in the path at hand
   std::vector<std::uint64_t> stamp_of_;  // by variable: the last front that it was seen in
   std::uint64_t stamp_ = 0;
   double debt_ = 0;  // flops that rank-k updates took more since the last ordering because nothing was ordered

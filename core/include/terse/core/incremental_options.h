@@ -79,6 +79,9 @@ struct IncrementalOptions {
   // Absent: as gauge.h describes.
   std::optional<double> anchor_information;
 
+  // At most, and only where a step's work is large; the result is the same to the last bit for any number.
+  int threads = 1;
+
   // kOffset: fill in StepReport::actual_decrease (evaluates all factors twice, outside the time that is reported).
   bool report_cost = false;
   // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
