@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <unordered_set>
 
 #include "dense_kernels.h"
 #include "version.h"
@@ -100,11 +101,15 @@ std::vector<int> BlockCholesky<B>::Solve(double threshold, std::optional<Clock::
       if (largest > 0 || fronts_[At(child)].fresh) stack.emplace_back(largest, child);
     }
   }
-  last_solve_.deferred = static_cast<int>(stack.size());
+  // Each once, or what is visited again would make its children wait once more, and so on.
+  std::unordered_set<int> seen;
   for (const Entry& entry : stack) {
-    fronts_[At(entry.second)].fresh = true;
+    Front& front = fronts_[At(entry.second)];
+    if ((!front.fresh && entry.first == 0) || front.pivots.empty() || !seen.insert(entry.second).second) continue;
+    front.fresh = true;
     waiting_.push_back(entry.second);
   }
+  last_solve_.deferred = static_cast<int>(waiting_.size());
   for (const int v : changed) moved_[At(v)] = 0;
   return changed;
 }

@@ -41,6 +41,8 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   AddToFactor(update, plan, report);
   DecideGate(update, plan, before, report);
   const int new_poses = static_cast<int>(update.poses.size());
+  const bool compares = options_.report_cost && options_.carry == Carry::kOffset;
+  if (compares) report.actual_decrease = Chi2();
   if (options_.carry == Carry::kPoint) {
     MovePoints(new_poses, start, report);
   } else if (!report.gate_open) {
@@ -49,6 +51,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   } else {
     OptimizeOffsets(start, report);
   }
+  if (compares) report.actual_decrease -= Chi2();
   report.seconds += std::chrono::duration<double>(Clock::now() - start).count();
   return report;
 }
