@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <unordered_set>
 
 #include "dense_kernels.h"
 #include "parallel.h"
@@ -120,12 +121,14 @@ std::vector<int> BlockCholesky<B>::Solve(double threshold, std::optional<Clock::
       if (largest > 0 || fronts_[At(child)].fresh) stack.emplace_back(largest, child);
     }
   }
+  // Each once, or what is visited again would make its children wait once more, and so on.
+  std::unordered_set<int> seen;
   for (const Entry& entry : stack) {
-    fronts_[At(entry.second)].fresh = true;
+    Front& front = fronts_[At(entry.second)];
+    if ((!front.fresh && entry.first == 0) || front.pivots.empty() || !seen.insert(entry.second).second) continue;
+    front.fresh = true;
     waiting_.push_back(entry.second);
   }
-  std::sort(waiting_.begin(), waiting_.end());
-  waiting_.erase(std::unique(waiting_.begin(), waiting_.end()), waiting_.end());
   last_solve_.deferred = static_cast<int>(waiting_.size());
   for (const int v : changed) moved_[At(v)] = 0;
   return changed;

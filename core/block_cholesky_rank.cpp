@@ -85,6 +85,7 @@ int BlockCholesky<B>::Append(int old_variables, UpdateReport& report) {
     front.update.resize((B + 1) * (B + 1));
     const int failed = FactorFront(front, {}, {}, row_of_, false);
     if (failed >= 0) return failed;
+    for (int c = 0; c < B; ++c) report.flops += std::pow(front.Rows() - c, 2);
     std::fill(front.update.begin(), front.update.end(), 0.0);  // but for rounding it is
     pending.push_back(std::move(front));
   }

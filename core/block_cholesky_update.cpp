@@ -198,6 +198,7 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
     return report;
   }
   forget();
+  if (report.fronts == 0 && report.fronts_updated == 0) report.path = FactorPath::kNone;
   free_slots_.insert(free_slots_.end(), changes.removed.begin(), changes.removed.end());
   report.ok = true;
   version_ = internal::NextVersion();

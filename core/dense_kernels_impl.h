@@ -156,8 +156,8 @@ void RankUpdateBlock(double* l, long ld, int rows, int pivots, double* w, long l
     const double pivot = column[j];
     tau[j] = 0;
     for (int k = 0; k < K; ++k) v[j][k] = 0;
-    // What is far below the rounding of the pivot changes nothing.
-    if (!(norm2 > 1e-40 * pivot * pivot)) continue;
+    // What is far below the rounding of the pivot changes nothing. What is not a number must show in the result.
+    if (norm2 <= 1e-40 * pivot * pivot) continue;
     const double alpha = __builtin_sqrt(pivot * pivot + norm2);
     const double v0 = -norm2 / (pivot + alpha);  // pivot - alpha without cancellation
     tau[j] = 2 * v0 * v0 / (norm2 + v0 * v0);

@@ -125,7 +125,9 @@ std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times, st
     if (v < 0 || !IsOutgrown(v) || points.count(v) != 0) return;
     if (deadline) {
       const double more = PathFlops(v, fronts);
-      if (flops + more > affordable) {
+      // A step that brings nothing gets on whatever the budget: what never fits would wait for ever.
+      const bool must = points.empty() && report.path == FactorPath::kNone;
+      if (flops + more > affordable && !must) {
         ++report.deferred_relinearisations;
         return;
       }

@@ -187,6 +187,8 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     }
     factor_of_slot_[At(slot)] = id;
   };
+  // Priors of fixed poses and the anchor have slots, but no id.
+  for (size_t k = update.factors.size(); k < added_slots.size(); ++k) bind(added_slots[k], FactorId());
   for (size_t k = 0; k < update.factors.size(); ++k) {
     const FactorId id = graph_.AddFactor(update.factors[k]);
     report.factor_ids.push_back(id);
@@ -198,10 +200,7 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
   }
   absolute_ = plan.absolute;
   anchor_information_ = plan.anchor_information;
-  if (plan.adds_anchor) {
-    anchor_slot_ = added_slots.back();
-    bind(anchor_slot_, FactorId());
-  }
+  if (plan.adds_anchor) anchor_slot_ = added_slots.back();
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                     \

@@ -4,7 +4,7 @@
 
 #include <gtest/gtest.h>
 
-#include "testing.h"
+#include "testing_factor.h"
 
 namespace terse {
 namespace {
@@ -12,76 +12,11 @@ namespace {
 using testing::Random;
 using testing::Uniform;
 
-// Well-conditioned systems of up to 200 scalars: 1e-9 leaves three digits of reserve.
-constexpr double kTolerance = 1e-9;
-
-template <int B>
-LinearFactor<B> RandomFactor(Random& rng, int first, int second) {
-  LinearFactor<B> f;
-  f.first = first;
-  f.second = second;
-  for (int c = 0; c < B; ++c) f.A_first.col(c) = testing::NormalVector<B>(rng);
-  if (second >= 0) {
-    for (int c = 0; c < B; ++c) f.A_second.col(c) = testing::NormalVector<B>(rng);
-  }
-  f.residual = testing::NormalVector<B>(rng);
-  return f;
-}
-
-// The same factors, kept densely.
-template <int B>
-struct Mirror {
-  std::map<int, LinearFactor<B>> by_slot;
-  int variables = 0;
-
-  testing::DenseSystem Dense() const {
-    testing::DenseSystem system{Eigen::MatrixXd::Zero(B * variables, B * variables),
-                                Eigen::VectorXd::Zero(B * variables)};
-    for (const auto& [slot, f] : by_slot) testing::AddDense(system, f);
-    return system;
-  }
-};
-
-template <int B>
-void ExpectEqualsDense(BlockCholesky<B>& factor, const Mirror<B>& mirror, double threshold = 0) {
-  const auto dense = mirror.Dense();
-  const Eigen::LLT<Eigen::MatrixXd> llt(dense.H);
-  ASSERT_EQ(llt.info(), Eigen::Success);
-  const Eigen::VectorXd x = llt.solve(dense.b);
-  factor.Solve(threshold);
-  const auto& solution = factor.Solution();
-  const Eigen::Map<const Eigen::VectorXd> d(solution.data(), static_cast<Eigen::Index>(solution.size()));
-  ASSERT_LT(testing::RelativeError(d, x), kTolerance);
-  const double log_det = 2 * llt.matrixLLT().diagonal().array().log().sum();
-  ASSERT_NEAR(factor.LogDeterminant(), log_det, kTolerance * std::max(1.0, std::abs(log_det)));
-  ASSERT_NEAR(factor.NewtonDecrement(), dense.b.dot(x), kTolerance * std::max(1.0, dense.b.dot(x)));
-}
-
-// Every separator is a pivot of an ancestor; every variable is a pivot once.
-template <int B>
-void ExpectSoundTree(const BlockCholesky<B>& factor) {
-  std::vector<int> seen(static_cast<std::size_t>(factor.Variables()), 0);
-  std::vector<int> stack = factor.Roots();
-  while (!stack.empty()) {
-    const int id = stack.back();
-    stack.pop_back();
-    const auto& front = factor.FrontAt(id);
-    for (const int v : front.pivots) {
-      ++seen[static_cast<std::size_t>(v)];
-      ASSERT_EQ(factor.FrontOf(v), id);
-    }
-    for (const int v : front.separators) {
-      int up = front.parent;
-      while (up >= 0 && up != factor.FrontOf(v)) up = factor.FrontAt(up).parent;
-      ASSERT_GE(up, 0) << "separator " << v << " is not eliminated above its front";
-    }
-    for (const int child : front.children) {
-      ASSERT_EQ(factor.FrontAt(child).parent, id);
-      stack.push_back(child);
-    }
-  }
-  for (const int count : seen) ASSERT_EQ(count, 1);
-}
+using testing::ExpectEqualsDense;
+using testing::ExpectSoundTree;
+using testing::kTolerance;
+using testing::Mirror;
+using testing::RandomFactor;
 
 template <int B>
 void RunRandomChanges(std::uint64_t seed) {

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <limits>
+#include <tuple>
 
 #include "testing.h"
 
@@ -60,6 +61,114 @@ TEST(DenseKernels, NameTheColumnThatIsNotPositive) {
         H.col(bad).setZero();
         H(bad, bad) = pivot;
         EXPECT_EQ(kernels.factor_panel(H.data(), 20, 20, 20), bad) << kernels.name << ", pivot " << pivot;
+      }
+    }
+  }
+}
+
+// [L, W] Q = [L~, W~]: the pivots of H + W W', and what W~ leaves below is the change of the Schur complement. Leading
+// dimensions exceed the rows, and what lies outside stays as it was.
+TEST(DenseKernels, RankUpdateEqualsDenseCholesky) {
+  testing::Random rng(5);
+  std::vector<std::tuple<int, int, int>> sizes;  // pivots, of them new, rows below
+  for (int p = 1; p <= 26; ++p) {
+    for (int s = 0; s <= 34; s += 1 + p % 3) sizes.emplace_back(p, p % 4 == 0 ? p / 4 : 0, s);
+  }
+  for (const int fresh : {1, 3, 6, 12}) sizes.emplace_back(fresh, fresh, 5);
+  sizes.emplace_back(130, 6, 67);
+  int columns = 1;
+  for (const auto& kernels : internal::AvailableKernels()) {
+    SCOPED_TRACE(kernels.name);
+    for (const auto& [p, fresh, s] : sizes) {
+      const int rows = p + s, old = p - fresh, ld = rows + 3, ldw = rows + 5;
+      columns = columns % 20 + 1;
+      const int K = std::max(columns, fresh);  // new pivots need as many measurements
+      // New pivots have no entries at all yet.
+      Eigen::MatrixXd H = RandomSpd(rng, rows);
+      H.middleRows(old, fresh).setZero();
+      H.middleCols(old, fresh).setZero();
+      Eigen::MatrixXd L = Eigen::MatrixXd::Zero(rows, p);
+      const Eigen::MatrixXd top = H.topLeftCorner(old, old).llt().matrixL();
+      L.topLeftCorner(old, old) = top;
+      L.bottomLeftCorner(s, old) = top.triangularView<Eigen::Lower>().solve(H.topRightCorner(old, s)).transpose();
+      const Eigen::MatrixXd W = Eigen::MatrixXd::NullaryExpr(rows, K, [&] { return testing::Normal(rng); });
+      const Eigen::MatrixXd changed = H + W * W.transpose();
+      const Eigen::MatrixXd expected = changed.llt().matrixL();
+      const Eigen::MatrixXd grown = W.bottomRows(s) * W.bottomRows(s).transpose() +
+                                    L.bottomRows(s) * L.bottomRows(s).transpose() -
+                                    expected.bottomLeftCorner(s, p) * expected.bottomLeftCorner(s, p).transpose();
+
+      Eigen::MatrixXd panel = Eigen::MatrixXd::Constant(ld, p, 77), w = Eigen::MatrixXd::Constant(ldw, K, 77);
+      for (int c = 0; c < p; ++c) panel.col(c).segment(c, rows - c) = L.col(c).tail(rows - c);
+      w.topRows(rows) = W;
+      kernels.rank_update(panel.data(), ld, rows, p, w.data(), ldw, K);
+      double error = 0;
+      for (int c = 0; c < p; ++c) {
+        error =
+            std::max(error, (panel.col(c).segment(c, rows - c) - expected.col(c).tail(rows - c)).cwiseAbs().maxCoeff());
+        ASSERT_TRUE((panel.col(c).tail(ld - rows).array() == 77).all());
+        ASSERT_TRUE((panel.col(c).head(c).array() == 77).all());
+      }
+      const Eigen::MatrixXd left = w.middleRows(p, s);
+      if (s > 0) error = std::max(error, (left * left.transpose() - grown).cwiseAbs().maxCoeff());
+      ASSERT_TRUE((w.bottomRows(ldw - rows).array() == 77).all());
+      // New pivots hang on few random measurements: their condition costs some digits.
+      ASSERT_LT(error, (fresh > 0 ? 1e-8 : 1e-10) * rows)
+          << "pivots " << p << ", new " << fresh << ", below " << s << ", columns " << K;
+    }
+  }
+}
+
+TEST(DenseKernels, ZeroUpdateOfZeroPivotLeavesIt) {
+  for (const auto& kernels : internal::AvailableKernels()) {
+    std::vector<double> panel(20, 0.0), w(20, 0.0);
+    kernels.rank_update(panel.data(), 5, 5, 4, w.data(), 5, 4);
+    EXPECT_EQ(panel, std::vector<double>(20, 0.0)) << kernels.name;
+    EXPECT_EQ(w, std::vector<double>(20, 0.0)) << kernels.name;
+  }
+}
+
+TEST(DenseKernels, BackSubstituteEqualsDense) {
+  testing::Random rng(6);
+  for (const auto& kernels : internal::AvailableKernels()) {
+    SCOPED_TRACE(kernels.name);
+    for (int p = 1; p <= 26; ++p) {
+      for (const int s : {0, 1, 2, 3, 5, 8, 15, 16, 17, 31, 32, 33, 70}) {
+        const int rows = p + s + 1;
+        const Eigen::MatrixXd H = RandomSpd(rng, rows);
+        const Eigen::MatrixXd L = H.llt().matrixL();
+        Eigen::MatrixXd panel = Eigen::MatrixXd::Constant(rows, p, std::numeric_limits<double>::quiet_NaN());
+        for (int c = 0; c < p; ++c) panel.col(c).tail(rows - c) = L.col(c).tail(rows - c);
+        Eigen::VectorXd x = Eigen::VectorXd::NullaryExpr(p + s, [&] { return testing::Normal(rng); });
+        const Eigen::VectorXd separators = x.tail(s);
+        const Eigen::VectorXd y = L.row(rows - 1).head(p).transpose() - L.block(p, 0, s, p).transpose() * separators;
+        const Eigen::VectorXd expected = L.topLeftCorner(p, p).transpose().triangularView<Eigen::Upper>().solve(y);
+        kernels.back_substitute(panel.data(), rows, p, x.data());
+        ASSERT_LT((x.head(p) - expected).cwiseAbs().maxCoeff(), 1e-12 * rows) << "pivots " << p << ", separators " << s;
+        ASSERT_EQ(x.tail(s), separators);
+      }
+    }
+  }
+}
+
+TEST(DenseKernels, SubtractsProductOfDifferentMatrices) {
+  testing::Random rng(7);
+  for (const auto& kernels : internal::AvailableKernels()) {
+    SCOPED_TRACE(kernels.name);
+    for (int n = 1; n <= 40; ++n) {
+      for (const int depth : {1, 2, 3, 6, 17, 128, 129, 300}) {
+        const int ld = n + n % 4;
+        const auto random = [&](int columns) {
+          return Eigen::MatrixXd(Eigen::MatrixXd::NullaryExpr(ld, columns, [&] { return testing::Normal(rng); }));
+        };
+        const Eigen::MatrixXd A = random(depth), B = random(depth);
+        Eigen::MatrixXd C = random(n).topRows(n).eval();
+        const Eigen::MatrixXd expected = C - A.topRows(n) * B.topRows(n).transpose();
+        kernels.subtract_product(C.data(), n, A.data(), B.data(), ld, depth);
+        for (int c = 0; c < n; ++c) {
+          ASSERT_LT((C.col(c) - expected.col(c)).tail(n - c).cwiseAbs().maxCoeff(), 1e-12 * (depth + 10))
+              << n << " rows, depth " << depth;
+        }
       }
     }
   }

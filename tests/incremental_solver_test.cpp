@@ -5,11 +5,14 @@
 #include <gtest/gtest.h>
 
 #include "terse/core/error.h"
-#include "testing.h"
+#include "testing_incremental.h"
 
 namespace terse {
 namespace {
 
+using testing::Exact;
+using testing::ExpectEqualsDense;
+using testing::OnePosePerUpdate;
 using testing::Random;
 
 template <class Pose>
@@ -17,51 +20,11 @@ class IncrementalSolverTest : public ::testing::Test {};
 using Groups = ::testing::Types<SE2, SE3>;
 TYPED_TEST_SUITE(IncrementalSolverTest, Groups);
 
-IncrementalOptions Exact() {
-  IncrementalOptions options;
-  options.propagation_tolerance = 0;
-  return options;
-}
-
 template <class Pose>
 Pose NotFinite() {
   typename Pose::Tangent d = Pose::Tangent::Zero();
   d[0] = std::numeric_limits<double>::quiet_NaN();
   return Pose().Retract(d);
-}
-
-// One pose per update with all factors to earlier poses, as an online user sends them.
-template <class Pose>
-std::vector<GraphUpdate<Pose>> OnePosePerUpdate(const PoseGraph<Pose>& graph) {
-  std::vector<GraphUpdate<Pose>> updates(graph.Poses().size());
-  for (std::size_t k = 0; k < graph.Poses().size(); ++k) updates[k].poses.push_back({graph.Poses()[k].id});
-  for (const auto& node : graph.Factors()) {
-    const FactorPoses ends = PosesOf(node.factor);
-    const int last = std::max(graph.IndexOf(ends.first), graph.IndexOf(ends.second));
-    updates[static_cast<std::size_t>(last)].factors.push_back(node.factor);
-  }
-  return updates;
-}
-
-// Factor, solution and log-determinant equal dense ones at the solver's linearisation points; so does the estimate.
-template <class Pose>
-void ExpectEqualsDense(const IncrementalSolver<Pose>& solver) {
-  const auto dense = testing::MakeDenseSystem(solver.Graph(), solver.LinearizationPoints());
-  const Eigen::LLT<Eigen::MatrixXd> llt(dense.H);
-  ASSERT_EQ(llt.info(), Eigen::Success);
-  const Eigen::VectorXd x = llt.solve(dense.b);
-  const AbsoluteFactors absolute = CountAbsoluteFactors(solver.Graph());
-  const bool turn_is_free =
-      absolute.pose_priors == 0 && absolute.position_priors > 0 && absolute.position_priors < Pose::kDim;
-  const double log_det = 2 * llt.matrixLLT().diagonal().array().log().sum();
-  ASSERT_NEAR(solver.LogDeterminant(), log_det, 1e-9 * std::abs(log_det));
-  for (std::size_t i = 0; i < solver.LinearizationPoints().size(); ++i) {
-    const Vector<Pose::kDof> d = x.segment<Pose::kDof>(static_cast<Eigen::Index>(i) * Pose::kDof);
-    const Pose expected = solver.LinearizationPoints()[i].Retract(d);
-    // The anchor (1e8) beside informations of 10..1000 costs about four digits, a turn that only the weak anchor
-    // (1e-3) holds three more, in both solutions.
-    ASSERT_LT(expected.Local(solver.EstimateAt(static_cast<int>(i))).norm(), turn_is_free ? 1e-6 : 1e-9);
-  }
 }
 
 TYPED_TEST(IncrementalSolverTest, EqualsDenseAfterEveryStep) {
@@ -222,6 +185,32 @@ TYPED_TEST(IncrementalSolverTest, FixedPosesStayThroughManyRelinearisations) {
   EXPECT_NEAR(solver.Estimate(PoseId{1}).Translation()[0], 10 - 9e-4, 1e-5);
   solver.Finish();
   EXPECT_NEAR(solver.Estimate(PoseId{1}).Translation()[0], 10 - 9e-4, 1e-5);
+}
+
+// A fixed pose that comes in when there are others: its prior is the last factor of all.
+TYPED_TEST(IncrementalSolverTest, FixedPoseComesInLater) {
+  for (const int interval : {1, 3}) {
+    IncrementalOptions options = Exact();
+    options.relinearize_interval = interval;
+    IncrementalSolver<TypeParam> solver(options);
+    Random rng(51);
+    const auto motion = [&] { return testing::RandomMotion<TypeParam>(rng, 1, 0.5); };
+    const auto edge = [&](std::int64_t a, std::int64_t b) {
+      return RelativePoseFactor<TypeParam>{PoseId{a}, PoseId{b}, motion(), TypeParam::Jacobian::Identity()};
+    };
+    solver.Update({{{PoseId{0}}, {PoseId{1}}}, {edge(0, 1)}, {}});
+    for (std::int64_t k = 2; k < 6; ++k) {
+      const TypeParam held = motion();
+      solver.Update({{{PoseId{k}, held, true}}, {edge(k - 1, k), edge(0, k)}, {}});
+      ExpectEqualsDense(solver);
+      for (int more = 0; more < 8; ++more) solver.Update({});
+      ExpectEqualsDense(solver);
+      if (this->HasFatalFailure()) return;
+      EXPECT_LT(held.Local(solver.Estimate(PoseId{k})).norm(), 1e-6);
+    }
+    const double chi2 = solver.Chi2();
+    EXPECT_NEAR(solver.Finish().chi2, chi2, 1e-4 * (1 + chi2));
+  }
 }
 
 // A wrong link must not throw the map to where no optimiser finds back from.
