@@ -90,8 +90,8 @@ class BlockCholesky {
   // changed and ok is false. Throws std::invalid_argument for changes that contradict each other or the graph.
   [[nodiscard]] UpdateReport Update(const Changes& changes);
 
-  // Up to so many threads share the work where there is enough; results are the same to the last bit for any number. 1 at
-  // first. Throws std::invalid_argument for less.
+  // Up to so many threads (1 at first) share large work; results are the same to the last bit for any number. Throws
+  // std::invalid_argument for less than one.
   void SetThreads(int threads);
 
   // New values for the factors of slots 0, 1, ... on the present structure: numeric work only. damping (B * Variables()
