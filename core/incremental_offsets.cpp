@@ -118,7 +118,8 @@ std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times,
     if (v < 0 || !IsOutgrown(v) || points.count(v) != 0) return;
     const double more = deadline ? PathFlops(v, fronts) : 0;
     // A step that brings nothing gets on whatever the budget: what never fits would wait for ever.
-    const bool must = points.empty() && report.path == FactorPath::kNone;
+    // But not from an estimate that back-substitution has half done.
+    const bool must = points.empty() && report.path == FactorPath::kNone && factor_.LastSolve().deferred == 0;
     if (flops + more > affordable && !must) {
       ++report.deferred_relinearisations;
       return;

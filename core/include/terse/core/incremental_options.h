@@ -79,7 +79,7 @@ struct IncrementalOptions {
   // Absent: as gauge.h describes.
   std::optional<double> anchor_information;
 
-  // Fill in StepReport::actual_decrease (evaluates the factors on moved poses once more).
+  // Fill in StepReport::actual_decrease (kOffset: evaluates all factors twice).
   bool report_cost = false;
   // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
   bool report_paper_flops = false;
