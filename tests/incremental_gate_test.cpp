@@ -44,7 +44,7 @@ struct RandomRun {
   }
 
   void MaybeRemove(const PoseGraph<Pose>& graph, GraphUpdate<Pose>& update) {
-    if (graph.Factors().size() < 6 || rng() % 4 != 0) return;
+    if (update.factors.empty() || graph.Factors().size() < 6 || rng() % 4 != 0) return;
     const auto& victim = graph.Factors()[rng() % graph.Factors().size()];
     const auto* f = std::get_if<RelativePoseFactor<Pose>>(&victim.factor);
     if (f != nullptr && std::abs(f->from.value - f->to.value) > 2) update.removed.push_back(victim.id);
