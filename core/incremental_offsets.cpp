@@ -93,6 +93,18 @@ void IncrementalSolver<Pose>::UpdateLinearizationErrors() {
   }
 }
 
+// Where every pose is its own linearisation point.
+template <class Pose>
+void IncrementalSolver<Pose>::ForgetErrors() {
+  std::fill(seen_.begin(), seen_.end(), Vector<B>::Zero());
+  std::fill(possible_of_.begin(), possible_of_.end(), 0.0);
+  std::fill(error_of_slot_.begin(), error_of_slot_.end(), 0.0);
+  std::fill(is_suspect_.begin(), is_suspect_.end(), 0);
+  moved_.clear();
+  suspects_.clear();
+  possible_error_ = error_sum_ = 0;
+}
+
 template <class Pose>
 void IncrementalSolver<Pose>::SetLinearizationError(int slot, double error) {
   if (IsSuspicious(error) && std::exchange(is_suspect_[At(slot)], 1) == 0) suspects_.push_back(slot);
@@ -126,7 +138,8 @@ std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times, st
     if (deadline) {
       const double more = PathFlops(v, fronts);
       // A step that brings nothing gets on whatever the budget: what never fits would wait for ever.
-      const bool must = points.empty() && report.path == FactorPath::kNone;
+      // But not from an estimate that back-substitution has half done.
+      const bool must = points.empty() && report.path == FactorPath::kNone && factor_.LastSolve().deferred == 0;
       if (flops + more > affordable && !must) {
         ++report.deferred_relinearisations;
         return;
@@ -138,7 +151,7 @@ std::map<int, Pose> IncrementalSolver<Pose>::PosesToRelinearize(double times, st
     added.push_back(v);
   };
   for (const int slot : suspects_) {
-    if (left <= tolerated / 2) break;
+    if (tolerated > 0 && left <= tolerated / 2) break;
     left -= error_of_slot_[At(slot)];
     add(factor_.FactorAt(slot).first);
     add(factor_.FactorAt(slot).second);
@@ -336,6 +349,7 @@ void IncrementalSolver<Pose>::BackSubstitute(std::optional<Clock::time_point> de
   template IncrementalSolver<Pose>::Replacements IncrementalSolver<Pose>::LinearizeAround(const std::map<int, Pose>&) \
       const;                                                                                                          \
   template bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>&, Replacements, StepReport&);          \
+  template void IncrementalSolver<Pose>::ForgetErrors();                                                              \
   template void IncrementalSolver<Pose>::OptimizeOffsets(Clock::time_point, StepReport&);                             \
   template void IncrementalSolver<Pose>::BackSubstitute(std::optional<Clock::time_point>, StepReport&);
 TERSE_INSTANTIATE(SE2)

@@ -141,6 +141,8 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
   linearization_points_ = result.T_world_body;
   for (int v = 0; v < factor_.Variables(); ++v) factor_.ClearSolution(v);
   RecountCosts();
+  ForgetErrors();
+  deferred_ = false;
   if (options_.carry == Carry::kOffset) {
     StepReport report;
     BackSubstitute(std::nullopt, report);

@@ -164,7 +164,7 @@ TEST(DenseKernels, SubtractsProductOfDifferentMatrices) {
         const Eigen::MatrixXd A = random(depth), B = random(depth);
         Eigen::MatrixXd C = random(n).topRows(n).eval();
         const Eigen::MatrixXd expected = C - A.topRows(n) * B.topRows(n).transpose();
-        kernels.subtract_product(C.data(), n, A.data(), B.data(), ld, depth);
+        kernels.subtract_product(C.data(), n, A.data(), B.data(), ld, n, n, depth);
         for (int c = 0; c < n; ++c) {
           ASSERT_LT((C.col(c) - expected.col(c)).tail(n - c).cwiseAbs().maxCoeff(), 1e-12 * (depth + 10))
               << n << " rows, depth " << depth;

@@ -206,10 +206,10 @@ TYPED_TEST(IncrementalSolverTest, FixedPoseComesInLater) {
       for (int more = 0; more < 8; ++more) solver.Update({});
       ExpectEqualsDense(solver);
       if (this->HasFatalFailure()) return;
-      EXPECT_LT(held.Local(solver.Estimate(PoseId{k})).norm(), 1e-6);
+      EXPECT_LT(held.Local(solver.Estimate(PoseId{k})).norm(), 1e-4);
     }
     const double chi2 = solver.Chi2();
-    EXPECT_NEAR(solver.Finish().chi2, chi2, 1e-4 * (1 + chi2));
+    EXPECT_NEAR(solver.Finish().chi2, chi2, 1e-2 * (1 + chi2));
   }
 }
 

@@ -29,7 +29,7 @@ struct Stats {
   int iterations = 0;
   std::string termination;
   bool converged = false;
-  int threads = 1;  // at most
+  int threads = 1;                   // at most
   std::vector<double> step_seconds;  // one per step
   double seconds_total = 0, seconds_read = 0, seconds_covariance = 0;
   PhaseSeconds phases;

@@ -200,14 +200,14 @@ class BlockCholesky {
   Method method_ = Method::kCheapest;
   int threads_ = 1;
   // Scratch that stays allocated, so that an update costs nothing for what it does not touch.
-  std::vector<int> row_of_;        // by variable: first row in the front at hand
+  std::vector<int> row_of_;                      // by variable: first row in the front at hand
   std::vector<std::vector<int>> thread_row_of_;  // the same, by thread
-  std::vector<int> local_;         // by variable: index in the region at hand, else -1
-  std::vector<char> is_affected_;  // by front
-  std::vector<Vector<B>> diagonal_;  // of H, by variable
-  std::vector<double> moved_;      // by variable: what its change in the Solve at hand is worth
-  std::vector<int> position_;      // by front: in the path at hand
-  std::vector<std::uint64_t> stamp_of_;  // by variable: the last front that it was seen in
+  std::vector<int> local_;                       // by variable: index in the region at hand, else -1
+  std::vector<char> is_affected_;                // by front
+  std::vector<Vector<B>> diagonal_;              // of H, by variable
+  std::vector<double> moved_;                    // by variable: what its change in the Solve at hand is worth
+  std::vector<int> position_;                    // by front: in the path at hand
+  std::vector<std::uint64_t> stamp_of_;          // by variable: the last front that it was seen in
   std::uint64_t stamp_ = 0;
   double debt_ = 0;  // flops that rank-k updates took more since the last ordering because nothing was ordered
   internal::BufferPool pool_;

@@ -109,6 +109,7 @@ class IncrementalSolver {
   double LinearizationError(int slot);
   double ErrorAfter(int slot, const std::map<int, Pose>& points);
   void UpdateLinearizationErrors();
+  void ForgetErrors();
   void SetLinearizationError(int slot, double error);
   // What is far below the tolerance is counted but not looked for.
   bool IsSuspicious(double error) const { return error > 1e-5 * options_.relinearize_tolerance * CostUnit(); }
