@@ -11,6 +11,10 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
+// So many times the entries of a fresh ordering are too many, in a graph of so many variables.
+constexpr double kDrift = 1.5;
+constexpr int kLeastDrifting = 100;
+
 }  // namespace
 
 // Fronts of the touched variables and their ancestors. Marks them.
@@ -145,6 +149,39 @@ void BlockCholesky<B>::Replace(const std::vector<int>& affected, std::vector<Fro
   }
 }
 
+// Whether a fresh ordering of everything would have far fewer entries. Looked at when the graph has doubled.
+template <int B>
+bool BlockCholesky<B>::HasDrifted(int old_variables, Region& all) {
+  if (old_variables < kLeastDrifting || old_variables < 2 * drift_looked_at_) return false;
+  drift_looked_at_ = old_variables;
+  AllFronts(all.fronts);
+  CollectCliques(old_variables, all);
+  all.order_last.assign(all.variables.size(), 0);
+  double fresh = 0;
+  for (const auto& front : internal::Eliminate(static_cast<int>(all.variables.size()), all.cliques, all.order_last)) {
+    const double p = B * static_cast<double>(front.pivots.size()), s = B * static_cast<double>(front.separators.size());
+    fresh += p * (p + 1) / 2 + p * s;
+  }
+  Forget(all);
+  all = Region();
+  return static_cast<double>(FactorNonzeros()) > kDrift * fresh;
+}
+
+// Removes the marks.
+template <int B>
+void BlockCholesky<B>::Forget(const Region& region) {
+  for (const int f : region.fronts) is_affected_[At(f)] = 0;
+  for (const int v : region.variables) local_[At(v)] = -1;
+}
+
+// Marks them.
+template <int B>
+void BlockCholesky<B>::AllFronts(std::vector<int>& fronts) {
+  fronts = TopDown();
+  is_affected_.resize(fronts_.size(), 0);
+  for (const int f : fronts) is_affected_[At(f)] = 1;
+}
+
 // Returns the variable at which the matrix turns out not to be positive definite, or -1.
 template <int B>
 int BlockCholesky<B>::RefactorRegion(int old_variables, const Undo& undo, Region& region, UpdateReport& report) {
@@ -188,6 +225,9 @@ int BlockCholesky<B>::RefactorRegion(int old_variables, const Undo& undo, Region
 
 #define TERSE_INSTANTIATE(B)                                                                                \
   template void BlockCholesky<B>::AffectedFronts(const Undo&, std::vector<int>&);                           \
+  template bool BlockCholesky<B>::HasDrifted(int, Region&);                                                 \
+  template void BlockCholesky<B>::Forget(const Region&);                                                    \
+  template void BlockCholesky<B>::AllFronts(std::vector<int>&);                                             \
   template void BlockCholesky<B>::CollectCliques(int, Region&);                                             \
   template std::vector<BlockCholesky<B>::Front> BlockCholesky<B>::MakeFronts(const Region&) const;          \
   template int BlockCholesky<B>::FactorPending(std::vector<Front>&, UpdateReport&);                         \

@@ -169,19 +169,18 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
   Undo undo;
   Region region;
   const int old_variables = undo.variables = Variables();
-  const auto forget = [&] {
-    for (const int f : region.fronts) is_affected_[At(f)] = 0;
-    for (const int v : region.variables) local_[At(v)] = -1;
-  };
   const auto take_back = [&] {
-    forget();
+    Forget(region);
     RevertFactors(undo);
     report.added_slots.clear();
   };
   try {
     ApplyFactors(changes, report.added_slots, undo);
     RankPath path;
-    if (PlanAppend(changes, old_variables, undo.added)) {
+    if (HasDrifted(old_variables, region)) {
+      AllFronts(region.fronts);
+      report.failed_variable = RefactorRegion(old_variables, undo, region, report);
+    } else if (PlanAppend(changes, old_variables, undo.added)) {
       report.failed_variable = Append(old_variables, report);
     } else {
       AffectedFronts(undo, region.fronts);
@@ -197,7 +196,7 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
     take_back();
     return report;
   }
-  forget();
+  Forget(region);
   if (report.fronts == 0 && report.fronts_updated == 0) report.path = FactorPath::kNone;
   free_slots_.insert(free_slots_.end(), changes.removed.begin(), changes.removed.end());
   report.ok = true;

@@ -322,5 +322,25 @@ TYPED_TEST(RankUpdate, ThresholdLeavesLittleBehind) {
   ExpectEqualsDense(both.factor, both.mirror);
 }
 
+// Rank-k updates keep every new variable in the root; when the graph has doubled all of it is ordered again.
+TYPED_TEST(RankUpdate, OrdersEverythingAgainWhenTheFillHasDrifted) {
+  constexpr int B = TestFixture::B;
+  Random rng(23);
+  MirroredFactor<B> mirrored;
+  mirrored.factor.SetMethod(Method<B>::kRankUpdateWherePossible);
+  mirrored.Apply(Chain<B>(rng, 3));
+  int ordered = 0;
+  for (int v = 3; v < 130; ++v) {
+    typename BlockCholesky<B>::Changes changes;
+    changes.new_variables = 1;
+    changes.added = {RandomFactor<B>(rng, v - 1, v), RandomFactor<B>(rng, v - 2, v)};
+    const auto report = mirrored.Apply(changes);
+    if (report.path == FactorPath::kRefactored && report.variables == v + 1) ++ordered;
+  }
+  EXPECT_EQ(ordered, 1);
+  ExpectEqualsDense(mirrored.factor, mirrored.mirror);
+  ExpectSoundTree(mirrored.factor);
+}
+
 }  // namespace
 }  // namespace terse

@@ -159,6 +159,9 @@ class BlockCholesky {
   // block_cholesky_region.cpp: the touched part of the tree and its new elimination.
   void AffectedFronts(const Undo& undo, std::vector<int>& affected);
   void CollectCliques(int old_variables, Region& region);
+  bool HasDrifted(int old_variables, Region& all);
+  void AllFronts(std::vector<int>& fronts);
+  void Forget(const Region& region);
   std::vector<Front> MakeFronts(const Region& region) const;
   int FactorPending(std::vector<Front>& pending, UpdateReport& report);
   void Replace(const std::vector<int>& affected, std::vector<Front>& pending, std::vector<int>& id_of) noexcept;
@@ -209,7 +212,8 @@ class BlockCholesky {
   std::vector<int> position_;                    // by front: in the path at hand
   std::vector<std::uint64_t> stamp_of_;          // by variable: the last front that it was seen in
   std::uint64_t stamp_ = 0;
-  double debt_ = 0;  // flops that rank-k updates took more since the last ordering because nothing was ordered
+  int drift_looked_at_ = 0;  // at so many variables
+  double debt_ = 0;          // flops that rank-k updates took more since the last ordering because nothing was ordered
   internal::BufferPool pool_;
   std::uint64_t version_ = 0;
 };
