@@ -140,7 +140,9 @@ void IncrementalSolver<Pose>::DecideGate(const GraphUpdate<Pose>& update, const 
       // The linear decrease does not see what relinearisation would find.
       report.gate_open = report.gate_value > options_.gate_threshold || deferred_ || IsRelinearizationDue();
       break;
-    default: report.gate_open = report.gate_value > options_.gate_threshold || deferred_;
+    default:
+      // With the gauge's anchor the determinant changes for another reason.
+      report.gate_open = report.gate_value > options_.gate_threshold || deferred_ || !plan.changes.replaced.empty();
   }
 }
 

@@ -111,7 +111,7 @@ struct StepReport {
   int variables_moved = 0;        // whose estimate changed
   double predicted_decrease = 0;  // of chi2 by this step, linearised; kPoint: of the full step if the gate is open
   double actual_decrease = 0;     // of chi2; if report_cost, and always in kPoint
-  double gain_nats = 0;           // of the new factors about the poses known before
+  double gain_nats = 0;           // of the new factors about the poses known before; less the anchor's if it changes
   int deferred_relinearisations = 0;
   int deferred_fronts = 0;  // subtrees that back-substitution left for later
   double flops = 0;         // factorisation: squared column counts, and 4 k times the entries for rank-k updates
