@@ -6,11 +6,12 @@
 
 #include "core/paper_flops.h"
 #include "terse/core/incremental_solver.h"
-#include "testing.h"
+#include "testing_incremental.h"
 
 namespace terse {
 namespace {
 
+using testing::OnePosePerUpdate;
 using testing::Random;
 
 template <class Pose>
@@ -26,22 +27,6 @@ IncrementalOptions Points() {
   options.step_metres = options.step_radians = 0;
   options.max_iterations = 20;
   return options;
-}
-
-// One pose per update with all factors to earlier poses.
-template <class Pose>
-std::vector<GraphUpdate<Pose>> OnePosePerUpdate(const PoseGraph<Pose>& graph, bool with_values = false) {
-  std::vector<GraphUpdate<Pose>> updates(graph.Poses().size());
-  for (std::size_t k = 0; k < graph.Poses().size(); ++k) {
-    const auto& node = graph.Poses()[k];
-    updates[k].poses.push_back({node.id, with_values ? node.T_world_body : std::nullopt});
-  }
-  for (const auto& node : graph.Factors()) {
-    const FactorPoses ends = PosesOf(node.factor);
-    const int last = std::max(graph.IndexOf(ends.first), graph.IndexOf(ends.second));
-    updates[static_cast<std::size_t>(last)].factors.push_back(node.factor);
-  }
-  return updates;
 }
 
 template <class Pose>

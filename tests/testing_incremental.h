@@ -16,9 +16,12 @@ inline IncrementalOptions Exact() {
 
 // One pose per update with all factors to earlier poses, as an online user sends them.
 template <class Pose>
-std::vector<GraphUpdate<Pose>> OnePosePerUpdate(const PoseGraph<Pose>& graph) {
+std::vector<GraphUpdate<Pose>> OnePosePerUpdate(const PoseGraph<Pose>& graph, bool with_values = false) {
   std::vector<GraphUpdate<Pose>> updates(graph.Poses().size());
-  for (std::size_t k = 0; k < graph.Poses().size(); ++k) updates[k].poses.push_back({graph.Poses()[k].id});
+  for (std::size_t k = 0; k < graph.Poses().size(); ++k) {
+    const auto& node = graph.Poses()[k];
+    updates[k].poses.push_back({node.id, with_values ? node.T_world_body : std::nullopt});
+  }
   for (const auto& node : graph.Factors()) {
     const FactorPoses ends = PosesOf(node.factor);
     const int last = std::max(graph.IndexOf(ends.first), graph.IndexOf(ends.second));
