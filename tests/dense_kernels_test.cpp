@@ -90,7 +90,9 @@ TEST(DenseKernels, RankUpdateEqualsDenseCholesky) {
       Eigen::MatrixXd L = Eigen::MatrixXd::Zero(rows, p);
       const Eigen::MatrixXd top = H.topLeftCorner(old, old).llt().matrixL();
       L.topLeftCorner(old, old) = top;
-      L.bottomLeftCorner(s, old) = top.triangularView<Eigen::Lower>().solve(H.topRightCorner(old, s)).transpose();
+      // Eigen's solve binds a reference to the first entry, which an empty matrix has not.
+      if (s > 0 && old > 0)
+        L.bottomLeftCorner(s, old) = top.triangularView<Eigen::Lower>().solve(H.topRightCorner(old, s)).transpose();
       const Eigen::MatrixXd W = Eigen::MatrixXd::NullaryExpr(rows, K, [&] { return testing::Normal(rng); });
       const Eigen::MatrixXd changed = H + W * W.transpose();
       const Eigen::MatrixXd expected = changed.llt().matrixL();
