@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "terse/compact/information.h"
+#include "terse/covariance/covariance_blocks.h"
 #include "terse/covariance/marginals.h"
 
 namespace terse {

@@ -27,7 +27,7 @@ typename Pose::Jacobian ConvertCovariance(const typename Pose::Jacobian& covaria
 template <class Pose>
 typename Pose::Jacobian ConvertCrossCovariance(const typename Pose::Jacobian& covariance, const Pose& T_a,
                                                const Pose& T_b, const CovarianceConvention& to) {
-  if (to.frame == CovarianceFrame::kBody && to.order == TangentOrder::kTranslationFirst) return covariance;
+  if (to.IsNative()) return covariance;
   return Transformation(T_a, to) * covariance * Transformation(T_b, to).transpose();
 }
 

@@ -23,25 +23,6 @@ std::unordered_map<int, int> RowsOf(const typename BlockCholesky<B>::Front& fron
   return rows;
 }
 
-// Fronts from the variables up to their roots, parents before children.
-template <int B>
-std::vector<int> PathsTopDown(const BlockCholesky<B>& factor, const std::vector<int>& variables) {
-  std::unordered_map<int, int> depth;
-  std::vector<int> fronts;
-  for (const int v : variables) {
-    std::vector<int> path;
-    int f = factor.FrontOf(v);
-    for (; f >= 0 && depth.count(f) == 0; f = factor.FrontAt(f).parent) path.push_back(f);
-    int d = f >= 0 ? depth[f] : -1;
-    for (auto it = path.rbegin(); it != path.rend(); ++it) {
-      depth[*it] = ++d;
-      fronts.push_back(*it);
-    }
-  }
-  std::stable_sort(fronts.begin(), fronts.end(), [&](int a, int b) { return depth[a] < depth[b]; });
-  return fronts;
-}
-
 }  // namespace
 
 template <int B>
@@ -95,13 +76,18 @@ const typename SelectedInverse<B>::Block& SelectedInverse<B>::Front(int front) c
 }
 
 template <int B>
-Matrix<B, B> SelectedInverse<B>::Diagonal(int variable) const {
+std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& variables) const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  const int id = factor_->FrontOf(variable);
-  const Block& block = Front(id);
-  const auto& pivots = factor_->FrontAt(id).pivots;
-  const Eigen::Index at = B * (std::find(pivots.begin(), pivots.end(), variable) - pivots.begin());
-  return ConstMap(block.covariance.data(), block.n, block.n).block<B, B>(at, at);
+  std::vector<Matrix<B, B>> out;
+  out.reserve(variables.size());
+  for (const int v : variables) {
+    const int id = factor_->FrontOf(v);
+    const Block& block = Front(id);
+    const auto& pivots = factor_->FrontAt(id).pivots;
+    const Eigen::Index at = B * (std::find(pivots.begin(), pivots.end(), v) - pivots.begin());
+    out.push_back(ConstMap(block.covariance.data(), block.n, block.n).block<B, B>(at, at));
+  }
+  return out;
 }
 
 template <int B>
@@ -141,57 +127,7 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::AllDiagonals() const {
   return out;
 }
 
-template <int B>
-MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows,
-                         const std::vector<int>& columns) {
-  // X = H^-1 E: forward along the columns' paths, backward along everybody's.
-  const Eigen::Index width = B * static_cast<Eigen::Index>(columns.size());
-  std::unordered_map<int, MatrixXd> X;  // by variable, B x width; absent is zero
-  const auto entry = [&](int v) -> MatrixXd& {
-    auto [it, is_new] = X.try_emplace(v);
-    if (is_new) it->second = MatrixXd::Zero(B, width);
-    return it->second;
-  };
-  for (size_t c = 0; c < columns.size(); ++c) {
-    entry(columns[c]).template middleCols<B>(static_cast<Eigen::Index>(c) * B) += Matrix<B, B>::Identity();
-  }
-  const auto load = [&](const std::vector<int>& variables) {
-    MatrixXd M(B * static_cast<Eigen::Index>(variables.size()), width);
-    for (size_t k = 0; k < variables.size(); ++k)
-      M.template middleRows<B>(static_cast<Eigen::Index>(k) * B) = entry(variables[k]);
-    return M;
-  };
-  const auto store = [&](const std::vector<int>& variables, const MatrixXd& M) {
-    for (size_t k = 0; k < variables.size(); ++k)
-      entry(variables[k]) = M.template middleRows<B>(static_cast<Eigen::Index>(k) * B);
-  };
-  const std::vector<int> forward = PathsTopDown(factor, columns);
-  for (auto it = forward.rbegin(); it != forward.rend(); ++it) {
-    const auto& front = factor.FrontAt(*it);
-    const ConstMap L(front.panel.data(), front.Rows(), front.Columns());
-    const Eigen::Index p = front.Columns(), s = front.Rows() - 1 - p;
-    MatrixXd z = load(front.pivots);
-    L.topRows(p).template triangularView<Eigen::Lower>().solveInPlace(z);
-    store(front.pivots, z);
-    if (s > 0) store(front.separators, load(front.separators) - L.middleRows(p, s) * z);
-  }
-  std::vector<int> all(rows);
-  all.insert(all.end(), columns.begin(), columns.end());
-  for (const int id : PathsTopDown(factor, all)) {
-    const auto& front = factor.FrontAt(id);
-    const ConstMap L(front.panel.data(), front.Rows(), front.Columns());
-    const Eigen::Index p = front.Columns(), s = front.Rows() - 1 - p;
-    MatrixXd x = load(front.pivots);
-    if (s > 0) x.noalias() -= L.middleRows(p, s).transpose() * load(front.separators);
-    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(x);
-    store(front.pivots, x);
-  }
-  return load(rows);
-}
-
 template class SelectedInverse<3>;
 template class SelectedInverse<6>;
-template MatrixX CovarianceBlocks<3>(const BlockCholesky<3>&, const std::vector<int>&, const std::vector<int>&);
-template MatrixX CovarianceBlocks<6>(const BlockCholesky<6>&, const std::vector<int>&, const std::vector<int>&);
 
 }  // namespace terse

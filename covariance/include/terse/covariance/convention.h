@@ -14,6 +14,7 @@ enum class TangentOrder { kTranslationFirst, kRotationFirst };
 struct CovarianceConvention {
   CovarianceFrame frame = CovarianceFrame::kBody;
   TangentOrder order = TangentOrder::kTranslationFirst;
+  bool IsNative() const { return frame == CovarianceFrame::kBody && order == TangentOrder::kTranslationFirst; }
 };
 
 // From body frame, translation first, to another convention; T is the pose the covariance belongs to.

@@ -5,7 +5,6 @@
 // the parent's block,
 //   Sigma_PP = L_PP^-T L_PP^-1 + K' Sigma_SS K,   Sigma_SP = -Sigma_SS K.
 // A query computes the fronts on its path to the root only and keeps them until the factor changes.
-// Columns of H^-1 are two triangular solves along the paths of the asked variables.
 //
 // Indices are variables of the factor and not checked. The factor must outlive the object. Concurrent queries are safe
 // (serialised); changing the factor during a query is not.
@@ -24,7 +23,8 @@ class SelectedInverse {
   explicit SelectedInverse(const BlockCholesky<B>& factor) : factor_(&factor) {}
 
   // Sigma_vv.
-  Matrix<B, B> Diagonal(int variable) const;
+  Matrix<B, B> Diagonal(int variable) const { return Diagonals({variable}).front(); }
+  std::vector<Matrix<B, B>> Diagonals(const std::vector<int>& variables) const;
   // All Sigma_vv, by variable, in one pass that keeps only one root path in memory.
   std::vector<Matrix<B, B>> AllDiagonals() const;
 
@@ -41,11 +41,6 @@ class SelectedInverse {
   mutable std::map<int, Block> cache_;
   mutable std::uint64_t version_ = 0;
 };
-
-// Sigma(rows, columns) for variables in any order: (B |rows|) x (B |columns|).
-// Cost: the fronts on the paths of `rows` and `columns` to the root, times |columns|.
-template <int B>
-MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows, const std::vector<int>& columns);
 
 extern template class SelectedInverse<3>;
 extern template class SelectedInverse<6>;
