@@ -18,6 +18,8 @@ constexpr size_t kChunk = 256;  // factors or variables that a thread takes at a
 
 }  // namespace
 
+std::uint64_t internal::Identity::Next() { return NextVersion(); }
+
 template <int B>
 void BlockCholesky<B>::SetThreads(int threads) {
   if (threads < 1) throw std::invalid_argument("at least one thread is needed");
@@ -43,6 +45,7 @@ void BlockCholesky<B>::SetFactors(const std::vector<LinearFactor<B>>& factors) {
 template <int B>
 bool BlockCholesky<B>::Refactor(const std::vector<double>& damping) {
   version_ = internal::NextVersion();
+  history_.clear();
   const std::vector<int> order = TopDown();
   position_.resize(fronts_.size(), 0);
   std::vector<Front*> fronts;
@@ -59,6 +62,7 @@ bool BlockCholesky<B>::Refactor(const std::vector<double>& damping) {
   log_det_ = y2_ = 0;
   for (const int f : order) {
     fronts_[At(f)].fresh = true;
+    fronts_[At(f)].stamp = version_;
     log_det_ += fronts_[At(f)].log_det;
     y2_ += fronts_[At(f)].y2;
   }

@@ -104,6 +104,7 @@ int BlockCholesky<B>::Append(int old_variables, UpdateReport& report) {
   for (size_t k = 0; k < count; ++k) {
     Front& front = pending[k];
     front.parent = parents[k] >= 0 ? parents[k] : ids[At(-1 - parents[k])];
+    front.stamp = next_version_;
     log_det_ += front.log_det;
     y2_ += front.y2;
     front_of_[At(front.pivots.front())] = ids[k];
@@ -357,6 +358,7 @@ int BlockCholesky<B>::RankUpdate(const RankPath& path, int old_variables, Update
     if (front.parent >= 0) front.corrections.push_back(std::move(c.front.corrections.front()));
     front.slots.insert(front.slots.end(), c.front.slots.begin(), c.front.slots.end());
     front.fresh = true;
+    front.stamp = next_version_;
   }
   for (int v = old_variables; v < Variables(); ++v) front_of_[At(v)] = path.fronts.back();
   report.fronts_updated = static_cast<int>(changed.size());

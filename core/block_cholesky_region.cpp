@@ -139,6 +139,7 @@ void BlockCholesky<B>::Replace(const std::vector<int>& affected, std::vector<Fro
     Front& front = fronts_[At(id_of[k])] = std::move(pending[k]);
     log_det_ += front.log_det;
     y2_ += front.y2;
+    front.stamp = next_version_;
     front.parent = front.parent >= 0 ? id_of[At(front.parent)] : -1;
     if (front.parent < 0) roots_.push_back(id_of[k]);
     for (const int v : front.pivots) front_of_[At(v)] = id_of[k];

@@ -14,6 +14,9 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
+// So many changed slots and updates are remembered.
+constexpr size_t kMostRemembered = 256, kMostSteps = 32;
+
 }  // namespace
 
 template <int B>
@@ -166,6 +169,7 @@ template <int B>
 typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& changes) {
   CheckChanges(changes);
   UpdateReport report;
+  next_version_ = internal::NextVersion();
   Undo undo;
   Region region;
   const int old_variables = undo.variables = Variables();
@@ -200,19 +204,57 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
   if (report.fronts == 0 && report.fronts_updated == 0) report.path = FactorPath::kNone;
   free_slots_.insert(free_slots_.end(), changes.removed.begin(), changes.removed.end());
   report.ok = true;
-  version_ = internal::NextVersion();
+  if (report.path == FactorPath::kNone) return report;
+  Remember(undo);
+  version_ = next_version_;
   return report;
 }
 
-#define TERSE_INSTANTIATE(B)                                                              \
-  template void BlockCholesky<B>::CheckChanges(const Changes&) const;                     \
-  template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                   \
-  template void BlockCholesky<B>::RecountDiagonal(int);                                   \
-  template void BlockCholesky<B>::RecountDiagonals(const Undo&);                          \
-  template void BlockCholesky<B>::ApplyFactors(const Changes&, std::vector<int>&, Undo&); \
-  template void BlockCholesky<B>::RevertFactors(const Undo&);                             \
-  template void BlockCholesky<B>::Attach(int);                                            \
-  template void BlockCholesky<B>::Detach(int);                                            \
+// For ChangesSince. Where memory is short, nothing is remembered.
+template <int B>
+void BlockCholesky<B>::Remember(Undo& undo) noexcept try {
+  Step step{version_, {}};
+  for (const int slot : undo.added) step.changes.push_back({slot, LinearFactor<B>()});
+  for (const auto& [slot, factor] : undo.replaced) step.changes.push_back({slot, factor});
+  for (const auto& [slot, factor] : undo.removed) step.changes.push_back({slot, factor});
+  size_t known = step.changes.size();
+  for (const Step& s : history_) known += s.changes.size();
+  history_.push_back(std::move(step));
+  for (; !history_.empty() && (known > kMostRemembered || history_.size() > kMostSteps); history_.pop_front()) {
+    known -= history_.front().changes.size();
+  }
+} catch (...) {
+  history_.clear();
+}
+
+template <int B>
+std::optional<std::vector<typename BlockCholesky<B>::SlotChange>> BlockCholesky<B>::ChangesSince(
+    std::uint64_t version) const {
+  std::vector<SlotChange> out;
+  if (version == version_) return out;
+  auto it = std::find_if(history_.begin(), history_.end(), [&](const Step& s) { return s.version_before == version; });
+  if (it == history_.end()) return std::nullopt;
+  std::set<int> seen;
+  for (; it != history_.end(); ++it) {
+    for (const SlotChange& change : it->changes) {
+      if (seen.insert(change.slot).second) out.push_back(change);
+    }
+  }
+  return out;
+}
+
+#define TERSE_INSTANTIATE(B)                                                                                      \
+  template void BlockCholesky<B>::CheckChanges(const Changes&) const;                                             \
+  template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                                           \
+  template void BlockCholesky<B>::RecountDiagonal(int);                                                           \
+  template void BlockCholesky<B>::RecountDiagonals(const Undo&);                                                  \
+  template void BlockCholesky<B>::ApplyFactors(const Changes&, std::vector<int>&, Undo&);                         \
+  template void BlockCholesky<B>::RevertFactors(const Undo&);                                                     \
+  template void BlockCholesky<B>::Attach(int);                                                                    \
+  template void BlockCholesky<B>::Detach(int);                                                                    \
+  template void BlockCholesky<B>::Remember(Undo&) noexcept;                                                       \
+  template std::optional<std::vector<BlockCholesky<B>::SlotChange>> BlockCholesky<B>::ChangesSince(std::uint64_t) \
+      const;                                                                                                      \
   template BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes&);
 TERSE_INSTANTIATE(3)
 TERSE_INSTANTIATE(6)

@@ -21,7 +21,27 @@ struct DenseKernels {
   void (*rank_update)(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);
   // x (pivots, then separators, rows - 1 in all): the pivots' part of L' x = y, y in the panel's last row.
   void (*back_substitute)(const double* panel, int rows, int pivots, double* x);
+
+  // For covariances. Several right-hand sides side by side: x row-major with `stride` columns, a multiple of kLanes.
+  //
+  // C (rows x columns) -= A B', A rows x depth, B columns x depth.
+  void (*subtract_rectangle)(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows,
+                             int columns, int depth);
+  // With L = [L_PP; L_RP] (rows x pivots, leading dimension ld): x_P = L_PP^-1 x_P, x_R -= L_RP x_P.
+  void (*substitute_forward)(const double* panel, int ld, int rows, int pivots, double* x, int stride);
+  // x_P = L_PP^-T (x_P - L_RP' x_R).
+  void (*substitute_backward)(const double* panel, int ld, int rows, int pivots, double* x, int stride);
+  // Y -= X T, all row-major: Y rows x width, X rows x depth, T depth x width; width a multiple of kLanes.
+  void (*subtract_rows)(double* y, int ldy, const double* x, int ldx, const double* t, int ldt, int rows, int depth,
+                        int width);
+  // For each of `count` blocks: S (size x size, contiguous) -= V V', V size x depth, row-major with `stride` columns.
+  // Size 3 or 6.
+  void (*subtract_grams)(double* s, const double* v, int stride, int count, int size, int depth);
 };
+
+inline constexpr int kLanes = 4;
+// Columns to make room for.
+constexpr int Stride(int columns) { return (columns + kLanes - 1) / kLanes * kLanes; }
 
 // The best for this processor.
 const DenseKernels& Kernels();

@@ -195,9 +195,239 @@ void RankUpdateBlock(double* l, long ld, int rows, int pivots, double* w, long l
   }
 }
 
+// Vectors along the right-hand sides: W of them at a time, V vectors side by side.
+template <int W>
+struct LanesOf {
+  typedef double Type __attribute__((vector_size(W * sizeof(double)), aligned(8), may_alias));
+};
+
+constexpr int kPivotBlock = 8;
+
+// x[i0 + r] -= sum_j L(i0 + r, j) x[j] for r < N rows; L column-major.
+template <int W, int V, int N>
+inline void ForwardRows(const double* l, long ld, int pivots, const double* x, double* y, long stride) {
+  using Lanes = typename LanesOf<W>::Type;
+  Lanes sum[N][V] = {};
+  for (int j = 0; j < pivots; ++j) {
+    Lanes xj[V];
+    for (int v = 0; v < V; ++v) xj[v] = *reinterpret_cast<const Lanes*>(x + j * stride + v * W);
+    for (int r = 0; r < N; ++r) {
+      for (int v = 0; v < V; ++v) sum[r][v] += l[j * ld + r] * xj[v];
+    }
+  }
+  for (int r = 0; r < N; ++r) {
+    for (int v = 0; v < V; ++v) *reinterpret_cast<Lanes*>(y + r * stride + v * W) -= sum[r][v];
+  }
+}
+
+// x[p] -= sum_i L(i, p) x[i] for p < N pivots, `rows` rows of L and x.
+template <int W, int V, int N>
+inline void BackwardPivots(const double* l, long ld, int rows, const double* x, double* y, long stride) {
+  using Lanes = typename LanesOf<W>::Type;
+  Lanes sum[N][V] = {};
+  for (int i = 0; i < rows; ++i) {
+    Lanes xi[V];
+    for (int v = 0; v < V; ++v) xi[v] = *reinterpret_cast<const Lanes*>(x + i * stride + v * W);
+    for (int p = 0; p < N; ++p) {
+      for (int v = 0; v < V; ++v) sum[p][v] += l[p * ld + i] * xi[v];
+    }
+  }
+  for (int p = 0; p < N; ++p) {
+    for (int v = 0; v < V; ++v) *reinterpret_cast<Lanes*>(y + p * stride + v * W) -= sum[p][v];
+  }
+}
+
+template <int W, int V>
+inline void AddMultiple(double* target, const double* source, double factor) {
+  using Lanes = typename LanesOf<W>::Type;
+  for (int v = 0; v < V; ++v) {
+    *reinterpret_cast<Lanes*>(target + v * W) += factor * *reinterpret_cast<const Lanes*>(source + v * W);
+  }
+}
+
+template <int W, int V>
+inline void Multiply(double* target, double factor) {
+  using Lanes = typename LanesOf<W>::Type;
+  for (int v = 0; v < V; ++v) *reinterpret_cast<Lanes*>(target + v * W) *= factor;
+}
+
+template <int W, int V>
+void Forward(const double* l, long ld, int rows, int pivots, double* x, long stride) {
+  for (int k = 0; k < pivots; k += kPivotBlock) {
+    const int width = pivots - k < kPivotBlock ? pivots - k : kPivotBlock, next = k + width;
+    for (int j = k; j < next; ++j) {
+      for (int i = k; i < j; ++i) AddMultiple<W, V>(x + j * stride, x + i * stride, -l[i * ld + j]);
+      Multiply<W, V>(x + j * stride, 1 / l[j * ld + j]);
+    }
+    int r = next;
+    for (; r + 8 <= rows; r += 8) {
+      ForwardRows<W, V, 8>(l + k * ld + r, ld, width, x + k * stride, x + r * stride, stride);
+    }
+    for (; r + 3 <= rows; r += 3) {
+      ForwardRows<W, V, 3>(l + k * ld + r, ld, width, x + k * stride, x + r * stride, stride);
+    }
+    for (; r < rows; ++r) ForwardRows<W, V, 1>(l + k * ld + r, ld, width, x + k * stride, x + r * stride, stride);
+  }
+}
+
+template <int W, int V>
+void Backward(const double* l, long ld, int rows, int pivots, double* x, long stride) {
+  for (int next = pivots; next > 0;) {
+    // The odd ones first, so that all other blocks are full.
+    const int odd = next % kPivotBlock, width = odd == 0 ? kPivotBlock : odd, k = next - width;
+    const double* below = l + k * ld + next;
+    const double* x_below = x + next * stride;
+    int p = 0;
+    if (width == 8) {
+      BackwardPivots<W, V, 8>(below, ld, rows - next, x_below, x + k * stride, stride);
+      p = 8;
+    }
+    for (; p + 3 <= width; p += 3) {
+      BackwardPivots<W, V, 3>(below + p * ld, ld, rows - next, x_below, x + (k + p) * stride, stride);
+    }
+    for (; p < width; ++p) {
+      BackwardPivots<W, V, 1>(below + p * ld, ld, rows - next, x_below, x + (k + p) * stride, stride);
+    }
+    for (int j = next - 1; j >= k; --j) {
+      for (int i = j + 1; i < next; ++i) AddMultiple<W, V>(x + j * stride, x + i * stride, -l[j * ld + i]);
+      Multiply<W, V>(x + j * stride, 1 / l[j * ld + j]);
+    }
+    next = k;
+  }
+}
+
+// N rows of Y -= X T.
+template <int W, int V, int N>
+inline void Rows(double* y, long ldy, const double* x, long ldx, const double* t, long ldt, int depth) {
+  using Lanes = typename LanesOf<W>::Type;
+  Lanes sum[N][V] = {};
+  for (int k = 0; k < depth; ++k) {
+    Lanes tk[V];
+    for (int v = 0; v < V; ++v) tk[v] = *reinterpret_cast<const Lanes*>(t + k * ldt + v * W);
+    for (int r = 0; r < N; ++r) {
+      for (int v = 0; v < V; ++v) sum[r][v] += x[r * ldx + k] * tk[v];
+    }
+  }
+  for (int r = 0; r < N; ++r) {
+    for (int v = 0; v < V; ++v) *reinterpret_cast<Lanes*>(y + r * ldy + v * W) -= sum[r][v];
+  }
+}
+
+template <int W, int V>
+void AllRows(double* y, long ldy, const double* x, long ldx, const double* t, long ldt, int rows, int depth) {
+  int r = 0;
+  for (; r + 6 <= rows; r += 6) Rows<W, V, 6>(y + r * ldy, ldy, x + r * ldx, ldx, t, ldt, depth);
+  for (; r < rows; ++r) Rows<W, V, 1>(y + r * ldy, ldy, x + r * ldx, ldx, t, ldt, depth);
+}
+
+// Calls do_lanes<W, V>(first column) for vectors that cover `columns` columns.
+template <class DoLanes>
+inline void ForLanes(int columns, const DoLanes& do_lanes) {
+  int c = 0;
+  if constexpr (kWidth >= 8) {
+    for (; c + 16 <= columns; c += 16) do_lanes.template operator()<8, 2>(c);
+    for (; c + 8 <= columns; c += 8) do_lanes.template operator()<8, 1>(c);
+    for (; c < columns; c += 4) do_lanes.template operator()<4, 1>(c);
+  } else {
+    for (; c < columns; c += 4) do_lanes.template operator()<kWidth, 4 / kWidth>(c);
+  }
+}
+
+struct ForwardLanes {
+  const double* l;
+  long ld;
+  int rows, pivots;
+  double* x;
+  long stride;
+  template <int W, int V>
+  void operator()(int c) const {
+    Forward<W, V>(l, ld, rows, pivots, x + c, stride);
+  }
+};
+
+struct BackwardLanes {
+  const double* l;
+  long ld;
+  int rows, pivots;
+  double* x;
+  long stride;
+  template <int W, int V>
+  void operator()(int c) const {
+    Backward<W, V>(l, ld, rows, pivots, x + c, stride);
+  }
+};
+
+struct RowLanes {
+  double* y;
+  long ldy;
+  const double* x;
+  long ldx;
+  const double* t;
+  long ldt;
+  int rows, depth;
+  template <int W, int V>
+  void operator()(int c) const {
+    AllRows<W, V>(y + c, ldy, x, ldx, t + c, ldt, rows, depth);
+  }
+};
+
+// S (N x N) -= V V'.
+template <int N>
+inline void SubtractGram(double* s, const double* v, long stride, int depth) {
+  constexpr int kPadded = N <= 4 ? 4 : 8, W = kWidth < kPadded ? kWidth : kPadded, kVectors = kPadded / W;
+  using Lanes = typename LanesOf<W>::Type;
+  Lanes sum[N][kVectors] = {};
+  for (int k = 0; k < depth; ++k) {
+    double column[kPadded] = {};
+    for (int r = 0; r < N; ++r) column[r] = v[r * stride + k];
+    for (int r = 0; r < N; ++r) {
+      for (int i = 0; i < kVectors; ++i) sum[r][i] += column[r] * *reinterpret_cast<const Lanes*>(column + i * W);
+    }
+  }
+  for (int r = 0; r < N; ++r) {
+    for (int c = 0; c < N; ++c) s[r * N + c] -= sum[r][c / W][c % W];
+  }
+}
+
 }  // namespace
 
 namespace TERSE_KERNEL_NAMESPACE {
+
+void SubtractRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,
+                       int depth) {
+  for (int k = 0; k < depth; k += kDepth) {
+    const int d = depth - k < kDepth ? depth - k : kDepth;
+    for (int j = 0; j < columns; j += kTileColumns) {
+      const int n = columns - j < kTileColumns ? columns - j : kTileColumns;
+      ColumnsOf<kTileColumns>(n, c + static_cast<long>(j) * ldc, ldc, a + static_cast<long>(k) * lda, lda,
+                              b + static_cast<long>(k) * ldb + j, ldb, rows, d);
+    }
+  }
+}
+
+void SubstituteForward(const double* panel, int ld, int rows, int pivots, double* x, int stride) {
+  ForLanes(stride, ForwardLanes{panel, ld, rows, pivots, x, stride});
+}
+
+void SubstituteBackward(const double* panel, int ld, int rows, int pivots, double* x, int stride) {
+  ForLanes(stride, BackwardLanes{panel, ld, rows, pivots, x, stride});
+}
+
+void SubtractRows(double* y, int ldy, const double* x, int ldx, const double* t, int ldt, int rows, int depth,
+                  int width) {
+  ForLanes(width, RowLanes{y, ldy, x, ldx, t, ldt, rows, depth});
+}
+
+void SubtractGrams(double* s, const double* v, int stride, int count, int size, int depth) {
+  for (long k = 0; k < count; ++k) {
+    const double* block = v + k * size * stride;
+    if (size == 3) {
+      SubtractGram<3>(s + k * 9, block, stride, depth);
+    } else if (size == 6) {
+      SubtractGram<6>(s + k * 36, block, stride, depth);
+    }
+  }
+}
 
 int FactorPanel(double* panel, int leading, int rows, int pivots) {
   const long ld = leading;

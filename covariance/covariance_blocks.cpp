@@ -1,91 +1,191 @@
 #include "terse/covariance/covariance_blocks.h"
 
-#include <Eigen/Dense>
-#include <algorithm>
-#include <unordered_map>
+#include "factor_paths.h"
 
 namespace terse {
 namespace {
 
-using Eigen::MatrixXd;
+using internal::At;
+using internal::FactorPaths;
+using internal::Stride;
 using std::size_t;
 
-using ConstMap = Eigen::Map<const MatrixXd>;
-
-// Fronts from the variables up to their roots, parents before children.
-template <int B>
-std::vector<int> PathsTopDown(const BlockCholesky<B>& factor, const std::vector<int>& variables) {
-  std::unordered_map<int, int> depth;
-  std::vector<int> fronts;
-  for (const int v : variables) {
-    std::vector<int> path;
-    int f = factor.FrontOf(v);
-    for (; f >= 0 && depth.count(f) == 0; f = factor.FrontAt(f).parent) path.push_back(f);
-    int d = f >= 0 ? depth[f] : -1;
-    for (auto it = path.rbegin(); it != path.rend(); ++it) {
-      depth[*it] = ++d;
-      fronts.push_back(*it);
-    }
-  }
-  std::stable_sort(fronts.begin(), fronts.end(), [&](int a, int b) { return depth[a] < depth[b]; });
-  return fronts;
+// By variable, one use at a time in each thread; what is in it is old.
+std::vector<int>& RowScratch(int variables) {
+  thread_local std::vector<int> row_of;
+  if (row_of.size() < At(variables)) row_of.resize(At(variables));
+  return row_of;
 }
+
+template <int B>
+void SetIdentity(double* X, int row, int column, int stride) {
+  for (int c = 0; c < B; ++c) X[At(row + c) * At(stride) + At(column + c)] = 1;
+}
+
+// The queries whose paths lead through a front, and L^-1 E of their variables there: rows of [P; S].
+struct Passing {
+  std::vector<int> queries;
+  std::vector<int> below;  // path fronts under it
+  std::vector<double> x;
+  int stride = 0;
+};
 
 }  // namespace
 
 template <int B>
 MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows,
                          const std::vector<int>& columns) {
-  // X = H^-1 E: forward along the columns' paths, backward along everybody's.
-  const Eigen::Index width = B * static_cast<Eigen::Index>(columns.size());
-  std::unordered_map<int, MatrixXd> X;  // by variable, B x width; absent is zero
-  const auto entry = [&](int v) -> MatrixXd& {
-    auto [it, is_new] = X.try_emplace(v);
-    if (is_new) it->second = MatrixXd::Zero(B, width);
-    return it->second;
+  const int stride = Stride(B * static_cast<int>(columns.size()));
+  FactorPaths<B> paths(factor);
+  for (const int v : columns) paths.Add(v);
+  for (const int v : rows) paths.Add(v);
+  std::vector<int>& row_of = RowScratch(factor.Variables());
+  int total = 0;
+  std::vector<int> first(At(paths.Size()), internal::kNoRow), base(At(paths.Size()));
+  for (int k = 0; k < paths.Size(); ++k) {
+    base[At(k)] = total;
+    for (const int v : paths[k].pivots) row_of[At(v)] = std::exchange(total, total + B);
+  }
+  std::vector<double> X(At(total) * At(stride), 0.0), scratch;
+  const auto lower = [&](std::vector<int>& bound, int v) {
+    int& at = bound[At(paths.PositionOf(v))];
+    at = std::min(at, row_of[At(v)] - base[At(paths.PositionOf(v))]);
   };
   for (size_t c = 0; c < columns.size(); ++c) {
-    entry(columns[c]).template middleCols<B>(static_cast<Eigen::Index>(c) * B) += Matrix<B, B>::Identity();
+    SetIdentity<B>(X.data(), row_of[At(columns[c])], B * static_cast<int>(c), stride);
+    lower(first, columns[c]);
   }
-  const auto load = [&](const std::vector<int>& variables) {
-    MatrixXd M(B * static_cast<Eigen::Index>(variables.size()), width);
-    for (size_t k = 0; k < variables.size(); ++k)
-      M.template middleRows<B>(static_cast<Eigen::Index>(k) * B) = entry(variables[k]);
-    return M;
-  };
-  const auto store = [&](const std::vector<int>& variables, const MatrixXd& M) {
-    for (size_t k = 0; k < variables.size(); ++k)
-      entry(variables[k]) = M.template middleRows<B>(static_cast<Eigen::Index>(k) * B);
-  };
-  const std::vector<int> forward = PathsTopDown(factor, columns);
-  for (auto it = forward.rbegin(); it != forward.rend(); ++it) {
-    const auto& front = factor.FrontAt(*it);
-    const ConstMap L(front.panel.data(), front.Rows(), front.Columns());
-    const Eigen::Index p = front.Columns(), s = front.Rows() - 1 - p;
-    MatrixXd z = load(front.pivots);
-    L.topRows(p).template triangularView<Eigen::Lower>().solveInPlace(z);
-    store(front.pivots, z);
-    if (s > 0) store(front.separators, load(front.separators) - L.middleRows(p, s) * z);
+  internal::ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
+  // Backward from the first row that is needed: an asked variable's, or that of a separator below.
+  std::vector<int> needed(At(paths.Size()), internal::kNoRow);
+  for (const int v : rows) lower(needed, v);
+  for (int k = paths.Size() - 1; k >= 0; --k) {
+    if (needed[At(k)] == internal::kNoRow) continue;
+    for (const int v : paths[k].separators) lower(needed, v);
   }
-  std::vector<int> all(rows);
-  all.insert(all.end(), columns.begin(), columns.end());
-  for (const int id : PathsTopDown(factor, all)) {
-    const auto& front = factor.FrontAt(id);
-    const ConstMap L(front.panel.data(), front.Rows(), front.Columns());
-    const Eigen::Index p = front.Columns(), s = front.Rows() - 1 - p;
-    MatrixXd x = load(front.pivots);
-    if (s > 0) x.noalias() -= L.middleRows(p, s).transpose() * load(front.separators);
-    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(x);
-    store(front.pivots, x);
+  for (int k = 0; k < paths.Size(); ++k) {
+    if (needed[At(k)] != internal::kNoRow) {
+      internal::BackwardFront<B>(paths[k], needed[At(k)], row_of, X.data(), stride, scratch);
+    }
   }
-  return load(rows);
+  MatrixX out(B * static_cast<Eigen::Index>(rows.size()), B * static_cast<Eigen::Index>(columns.size()));
+  for (size_t r = 0; r < rows.size(); ++r) {
+    for (int i = 0; i < B; ++i) {
+      const double* from = X.data() + At(row_of[At(rows[r])] + i) * At(stride);
+      out.row(static_cast<Eigen::Index>(r) * B + i) = Eigen::Map<const Eigen::RowVectorXd>(from, out.cols());
+    }
+  }
+  return out;
 }
 
 template <int B>
 MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& variables) {
-  const MatrixX joint = CovarianceBlocks(factor, variables, variables);
-  return (joint + joint.transpose()) / 2;
+  FactorPaths<B> paths(factor);
+  for (const int v : variables) paths.Add(v);
+  std::vector<Passing> passing(At(paths.Size()));
+  std::vector<std::vector<int>> starting(passing.size());
+  for (size_t q = 0; q < variables.size(); ++q) {
+    starting[At(paths.PositionOf(variables[q]))].push_back(static_cast<int>(q));
+  }
+  std::vector<int>& row_of = RowScratch(factor.Variables());
+  const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
+  MatrixX joint = MatrixX::Zero(size, size);
+  std::vector<double> gram;
+  for (int k = paths.Size() - 1; k >= 0; --k) {
+    const auto& front = paths[k];
+    Passing& here = passing[At(k)];
+    const int ld = front.Rows(), rows = ld - 1, p = front.Columns();
+    int row = 0, first = p;
+    for (const int v : front.pivots) row_of[At(v)] = std::exchange(row, row + B);
+    for (const int v : front.separators) row_of[At(v)] = std::exchange(row, row + B);
+    for (const int child : here.below) {
+      const auto& queries = passing[At(child)].queries;
+      here.queries.insert(here.queries.end(), queries.begin(), queries.end());
+    }
+    int column = B * static_cast<int>(here.queries.size());
+    here.queries.insert(here.queries.end(), starting[At(k)].begin(), starting[At(k)].end());
+    here.stride = Stride(B * static_cast<int>(here.queries.size()));
+    here.x.assign(At(rows) * At(here.stride), 0.0);
+    for (const int q : starting[At(k)]) {
+      const int at = row_of[At(variables[At(q)])];
+      SetIdentity<B>(here.x.data(), at, std::exchange(column, column + B), here.stride);
+      first = std::min(first, at);
+    }
+    column = 0;
+    for (const int child : here.below) {
+      Passing& from = passing[At(child)];
+      const int width = B * static_cast<int>(from.queries.size());
+      const double* source = from.x.data() + At(paths[child].Columns()) * At(from.stride);
+      for (const int v : paths[child].separators) {
+        const int at = row_of[At(v)];
+        first = std::min(first, at);
+        for (int i = 0; i < B; ++i, source += from.stride) {
+          double* to = here.x.data() + At(at + i) * At(here.stride) + At(column);
+          for (int c = 0; c < width; ++c) to[c] += source[c];
+        }
+      }
+      column += width;
+      std::vector<double>().swap(from.x);
+    }
+    internal::Kernels().substitute_forward(front.panel.data() + At(first) * At(ld) + At(first), ld, rows - first,
+                                           p - first, here.x.data() + At(first) * At(here.stride), here.stride);
+    if (paths.ParentOf(k) >= 0) passing[At(paths.ParentOf(k))].below.push_back(k);
+    // Sigma = Z' Z: every front adds the products of its pivots' rows.
+    const int n = here.stride;
+    gram.assign(At(n) * At(n), 0.0);
+    const double* Z = here.x.data() + At(first) * At(n);
+    internal::Kernels().subtract_product(gram.data(), n, Z, Z, n, n, n, p - first);
+    for (size_t c = 0; c < here.queries.size(); ++c) {
+      for (size_t r = c; r < here.queries.size(); ++r) {
+        const bool below = here.queries[r] >= here.queries[c];
+        const Eigen::Map<const Matrix<B, B>, 0, Eigen::OuterStride<>> block(gram.data() + c * B * At(n) + r * B,
+                                                                            Eigen::OuterStride<>(n));
+        const int row_block = below ? here.queries[r] : here.queries[c];
+        const int column_block = below ? here.queries[c] : here.queries[r];
+        auto target = joint.block<B, B>(row_block * B, column_block * B);
+        if (below) {
+          target -= block;
+        } else {
+          target -= block.transpose();
+        }
+      }
+    }
+  }
+  for (Eigen::Index c = 1; c < size; ++c) joint.col(c).head(c) = joint.row(c).head(c).transpose();
+  return joint;
 }
+
+namespace internal {
+
+template <int B>
+void SolveAll(const BlockCholesky<B>& factor, const std::vector<int>& nonzero, std::vector<double>& X, int stride) {
+  std::vector<int>& row_of = RowScratch(factor.Variables());
+  for (int v = 0; v < factor.Variables(); ++v) row_of[At(v)] = B * v;
+  std::vector<double> scratch;
+  {
+    FactorPaths<B> paths(factor);
+    for (const int v : nonzero) paths.Add(v);
+    std::vector<int> first(At(paths.Size()), kNoRow);
+    const auto lower = [&](std::vector<int>& bound, int v) {
+      int& at = bound[At(paths.PositionOf(v))];
+      at = std::min(at, PivotRow<B>(paths[paths.PositionOf(v)], v));
+    };
+    for (const int v : nonzero) lower(first, v);
+    ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
+  }
+  std::vector<int> stack(factor.Roots());
+  while (!stack.empty()) {
+    const auto& front = factor.FrontAt(stack.back());
+    stack.pop_back();
+    BackwardFront<B>(front, 0, row_of, X.data(), stride, scratch);
+    stack.insert(stack.end(), front.children.begin(), front.children.end());
+  }
+}
+
+template void SolveAll<3>(const BlockCholesky<3>&, const std::vector<int>&, std::vector<double>&, int);
+template void SolveAll<6>(const BlockCholesky<6>&, const std::vector<int>&, std::vector<double>&, int);
+
+}  // namespace internal
 
 #define TERSE_INSTANTIATE(B)                                                                                       \
   template MatrixX CovarianceBlocks<B>(const BlockCholesky<B>&, const std::vector<int>&, const std::vector<int>&); \

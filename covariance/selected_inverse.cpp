@@ -1,91 +1,137 @@
 #include "terse/covariance/selected_inverse.h"
 
-#include <Eigen/Dense>
 #include <algorithm>
-#include <unordered_map>
+#include <set>
+
+#include "front_covariance.h"
+#include "terse/covariance/covariance_blocks.h"
 
 namespace terse {
 namespace {
 
-using Eigen::MatrixXd;
+using internal::At;
+using internal::FrontScratch;
+using internal::PivotRow;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
-using ConstMap = Eigen::Map<const MatrixXd>;
+// Measured: a flop of single substitutions takes about as long as so many of the recursion's products.
+constexpr double kSolveFlop = 2.5;
 
-// Rows of a front's variables, counted in variables: pivots, then separators.
 template <int B>
-std::unordered_map<int, int> RowsOf(const typename BlockCholesky<B>::Front& front) {
-  std::unordered_map<int, int> rows;
-  int row = 0;
-  for (const int v : front.pivots) rows[v] = row++;
-  for (const int v : front.separators) rows[v] = row++;
-  return rows;
+double RecursionFlopsOf(const typename BlockCholesky<B>::Front& front) {
+  return internal::RecursionFlops(front.Columns(), front.Rows() - 1 - front.Columns());
+}
+
+// Of forward substitution from one variable to the root.
+template <int B>
+double SolveFlops(const BlockCholesky<B>& factor, int variable) {
+  double flops = 0;
+  for (int f = factor.FrontOf(variable); f >= 0; f = factor.FrontAt(f).parent) {
+    const double p = factor.FrontAt(f).Columns(), rows = factor.FrontAt(f).Rows() - 1;
+    flops += 2.0 * B * p * (rows - p / 2);
+  }
+  return flops;
 }
 
 }  // namespace
 
+// The fronts from this one up to the first whose block is good, and the largest stamp up to the root.
 template <int B>
-typename SelectedInverse<B>::Block SelectedInverse<B>::ComputeFront(int id, const Block* parent) const {
-  const auto& front = factor_->FrontAt(id);
-  const Eigen::Index p = front.Columns(), rows = front.Rows(), s = rows - 1 - p;
-  const ConstMap panel(front.panel.data(), rows, p);
-  const auto L_PP = panel.topRows(p);
-  Block block;
-  block.n = static_cast<int>(p + s);
-  block.covariance.resize(At(block.n) * At(block.n));
-  Eigen::Map<MatrixXd> Sigma(block.covariance.data(), p + s, p + s);
-  MatrixXd L_inverse = MatrixXd::Identity(p, p);
-  L_PP.template triangularView<Eigen::Lower>().solveInPlace(L_inverse);
-  auto Sigma_PP = Sigma.topLeftCorner(p, p);
-  Sigma_PP.noalias() = L_inverse.template triangularView<Eigen::Lower>().transpose() * L_inverse;
-  if (s == 0) return block;
-  const auto& up = factor_->FrontAt(front.parent);
-  const auto row_in_parent = RowsOf<B>(up);
-  const ConstMap Sigma_parent(parent->covariance.data(), parent->n, parent->n);
-  auto Sigma_SS = Sigma.bottomRightCorner(s, s);
-  for (size_t j = 0; j < front.separators.size(); ++j) {
-    const int cj = row_in_parent.at(front.separators[j]) * B;
-    for (size_t i = 0; i < front.separators.size(); ++i) {
-      const int ci = row_in_parent.at(front.separators[i]) * B;
-      Sigma_SS.block<B, B>(static_cast<Eigen::Index>(i) * B, static_cast<Eigen::Index>(j) * B) =
-          Sigma_parent.block<B, B>(ci, cj);
-    }
+std::vector<int> SelectedInverse<B>::StalePath(int front, std::uint64_t& stamp) const {
+  std::vector<int> path;
+  for (int f = front; f >= 0; f = factor_->FrontAt(f).parent) path.push_back(f);
+  stamp = 0;
+  size_t stale = path.size();
+  while (stale > 0) {
+    stamp = std::max(stamp, factor_->FrontAt(path[stale - 1]).stamp);
+    const auto it = cache_.find(path[stale - 1]);
+    if (it == cache_.end() || it->second->stamp < stamp) break;
+    --stale;
   }
-  const MatrixXd K = panel.middleRows(p, s) * L_inverse.template triangularView<Eigen::Lower>();
-  auto Sigma_SP = Sigma.bottomLeftCorner(s, p);
-  Sigma_SP.noalias() = -Sigma_SS * K;
-  Sigma_PP.noalias() -= K.transpose() * Sigma_SP;
-  Sigma.topRightCorner(p, s) = Sigma_SP.transpose();
+  path.resize(stale);
+  for (size_t k = 0; k < stale; ++k) stamp = std::max(stamp, factor_->FrontAt(path[k]).stamp);
+  return path;
+}
+
+template <int B>
+typename SelectedInverse<B>::BlockPointer SelectedInverse<B>::Front(int id) const {
+  std::uint64_t stamp = 0;
+  const std::vector<int> path = StalePath(id, stamp);
+  FrontScratch scratch;
+  BlockPointer block;
+  const int above = path.empty() ? id : factor_->FrontAt(path.back()).parent;
+  if (above >= 0) block = cache_.at(above);
+  for (auto it = path.rbegin(); it != path.rend(); ++it) {
+    const auto& front = factor_->FrontAt(*it);
+    const BlockPointer parent = block;
+    std::vector<int> rows;
+    if (parent) {
+      internal::SetRows<B>(factor_->FrontAt(front.parent), factor_->Variables(), scratch);
+      rows = internal::SeparatorRows<B>(front, scratch);
+    }
+    block = std::make_shared<Block>();
+    block->n = front.Rows() - 1;
+    block->covariance.resize(At(block->n) * At(block->n));
+    internal::ComputeFrontCovariance<B>(front, parent ? parent->covariance.data() : nullptr, parent ? parent->n : 0,
+                                        rows, false, block->covariance.data(), scratch);
+    block->stamp = factor_->Version();
+    BlockPointer& kept = cache_[*it];
+    if (kept) bytes_ -= kept->covariance.size() * sizeof(double);
+    kept = block;
+    bytes_ += block->covariance.size() * sizeof(double);
+  }
+  for (int f = id; f >= 0; f = factor_->FrontAt(f).parent) cache_.at(f)->used = queries_;
   return block;
 }
 
+// Down to the capacity, the longest unused first.
 template <int B>
-const typename SelectedInverse<B>::Block& SelectedInverse<B>::Front(int front) const {
-  if (version_ != factor_->Version()) {
-    cache_.clear();
-    version_ = factor_->Version();
+void SelectedInverse<B>::Evict() const {
+  if (bytes_ <= capacity_) return;
+  std::vector<std::pair<std::uint64_t, int>> oldest;
+  for (const auto& [front, block] : cache_) oldest.emplace_back(block->used, front);
+  std::sort(oldest.begin(), oldest.end());
+  for (const auto& [used, front] : oldest) {
+    if (bytes_ <= capacity_) return;
+    const auto it = cache_.find(front);
+    bytes_ -= it->second->covariance.size() * sizeof(double);
+    cache_.erase(it);
   }
-  std::vector<int> path;
-  for (int f = front; f >= 0 && cache_.count(f) == 0; f = factor_->FrontAt(f).parent) path.push_back(f);
-  for (auto it = path.rbegin(); it != path.rend(); ++it) {
-    const int up = factor_->FrontAt(*it).parent;
-    cache_[*it] = ComputeFront(*it, up < 0 ? nullptr : &cache_.at(up));
-  }
-  return cache_.at(front);
 }
 
 template <int B>
-std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& variables) const {
+std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& variables,
+                                                        DiagonalMethod method) const {
   const std::lock_guard<std::mutex> lock(mutex_);
+  ++queries_;
+  if (std::exchange(identity_, factor_->Identity()) != factor_->Identity()) {
+    cache_.clear();
+    bytes_ = 0;
+  }
+  if (method == DiagonalMethod::kCheapest) {
+    double solve = 0, recursion = 0;
+    std::set<int> stale;
+    for (const int v : variables) {
+      std::uint64_t stamp = 0;
+      for (const int f : StalePath(factor_->FrontOf(v), stamp)) {
+        if (stale.insert(f).second) recursion += RecursionFlopsOf<B>(factor_->FrontAt(f));
+      }
+      solve += SolveFlops(*factor_, v);
+    }
+    method = kSolveFlop * solve < recursion ? DiagonalMethod::kSolve : DiagonalMethod::kRecursion;
+  }
   std::vector<Matrix<B, B>> out;
   out.reserve(variables.size());
   for (const int v : variables) {
+    if (method == DiagonalMethod::kSolve) {
+      out.push_back(JointCovariance(*factor_, {v}));
+      continue;
+    }
     const int id = factor_->FrontOf(v);
-    const Block& block = Front(id);
-    const auto& pivots = factor_->FrontAt(id).pivots;
-    const Eigen::Index at = B * (std::find(pivots.begin(), pivots.end(), v) - pivots.begin());
-    out.push_back(ConstMap(block.covariance.data(), block.n, block.n).block<B, B>(at, at));
+    const BlockPointer block = Front(id);
+    const Eigen::Index at = PivotRow<B>(factor_->FrontAt(id), v);
+    out.push_back(Eigen::Map<const MatrixX>(block->covariance.data(), block->n, block->n).template block<B, B>(at, at));
+    Evict();
   }
   return out;
 }
@@ -93,38 +139,60 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
 template <int B>
 std::vector<Matrix<B, B>> SelectedInverse<B>::AllDiagonals() const {
   std::vector<Matrix<B, B>> out(At(factor_->Variables()));
-  struct Frame {
-    Block block;
+  struct Level {
+    int front;
+    std::vector<double> covariance;
+    std::vector<std::vector<int>> rows;  // by child: its separators'
     size_t next_child = 0;
-    int front = -1;
   };
-  const auto visit = [&](int id, const Block* parent) {
-    Frame frame;
-    frame.front = id;
-    frame.block = ComputeFront(id, parent);
-    const ConstMap Sigma(frame.block.covariance.data(), frame.block.n, frame.block.n);
+  std::vector<Level> path;
+  size_t depth = 0;  // levels in use; those below keep their buffers
+  FrontScratch scratch;
+  const auto visit = [&](int id, const std::vector<int>& rows) {
+    if (path.size() == depth) path.emplace_back();
+    Level& here = path[depth];
+    const auto& front = factor_->FrontAt(id);
+    const int n = front.Rows() - 1;
+    here.front = id;
+    here.next_child = 0;
+    here.covariance.resize(At(n) * At(n));
+    const double* parent = depth > 0 ? path[depth - 1].covariance.data() : nullptr;
+    const int ldp = depth > 0 ? factor_->FrontAt(path[depth - 1].front).Rows() - 1 : 0;
+    internal::ComputeFrontCovariance<B>(front, parent, ldp, rows, front.children.empty(), here.covariance.data(),
+                                        scratch);
+    const Eigen::Map<const MatrixX> Sigma(here.covariance.data(), n, n);
     Eigen::Index at = 0;
-    for (const int v : factor_->FrontAt(id).pivots) {
+    for (const int v : front.pivots) {
       out[At(v)] = Sigma.block<B, B>(at, at);
       at += B;
     }
-    return frame;
+    here.rows.clear();
+    if (!front.children.empty()) internal::SetRows<B>(front, factor_->Variables(), scratch);
+    for (const int child : front.children) {
+      here.rows.push_back(internal::SeparatorRows<B>(factor_->FrontAt(child), scratch));
+    }
+    ++depth;
   };
   for (const int root : factor_->Roots()) {
-    std::vector<Frame> stack;
-    stack.push_back(visit(root, nullptr));
-    while (!stack.empty()) {
-      Frame& top = stack.back();
+    visit(root, {});
+    while (depth > 0) {
+      Level& top = path[depth - 1];
       const auto& children = factor_->FrontAt(top.front).children;
       if (top.next_child == children.size()) {
-        stack.pop_back();
+        --depth;
       } else {
-        const int child = children[top.next_child++];
-        stack.push_back(visit(child, &top.block));
+        const size_t k = top.next_child++;
+        visit(children[k], std::vector<int>(top.rows[k]));
       }
     }
   }
   return out;
+}
+
+template <int B>
+std::size_t SelectedInverse<B>::CacheBytes() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return bytes_;
 }
 
 template class SelectedInverse<3>;

@@ -176,5 +176,94 @@ TEST(DenseKernels, SubtractsProductOfDifferentMatrices) {
   }
 }
 
+Eigen::MatrixXd RandomMatrix(testing::Random& rng, int rows, int columns) {
+  return Eigen::MatrixXd::NullaryExpr(rows, columns, [&] { return testing::Normal(rng); });
+}
+
+// Right-hand sides side by side, as the kernels store them.
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+TEST(DenseKernels, RectangularProduct) {
+  testing::Random rng(6);
+  for (const auto& kernels : internal::AvailableKernels()) {
+    SCOPED_TRACE(kernels.name);
+    for (int rows = 1; rows <= 30; ++rows) {
+      for (const int columns : {1, 3, 6, 8, 19, 33}) {
+        for (const int depth : {1, 5, 24, 130}) {
+          const Eigen::MatrixXd A = RandomMatrix(rng, rows + 2, depth), B = RandomMatrix(rng, columns + 1, depth);
+          Eigen::MatrixXd C = RandomMatrix(rng, rows + 3, columns), expected = C;
+          expected.topRows(rows) -= A.topRows(rows) * B.topRows(columns).transpose();
+          kernels.subtract_rectangle(C.data(), rows + 3, A.data(), rows + 2, B.data(), columns + 1, rows, columns,
+                                     depth);
+          ASSERT_LT((C - expected).cwiseAbs().maxCoeff(), 1e-12 * depth) << rows << ' ' << columns << ' ' << depth;
+          ASSERT_EQ(C.bottomRows(3), expected.bottomRows(3));
+        }
+      }
+    }
+  }
+}
+
+TEST(DenseKernels, SubstitutionWithManyRightHandSides) {
+  testing::Random rng(7);
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  for (const auto& kernels : internal::AvailableKernels()) {
+    SCOPED_TRACE(kernels.name);
+    for (int p = 1; p <= 27; ++p) {
+      for (const int s : {0, 1, 2, 7, 30}) {
+        for (const int columns : {3, 6, 12, 17, 40}) {
+          const int rows = p + s, ld = rows + 1, stride = internal::Stride(columns);
+          const Eigen::MatrixXd L = RandomSpd(rng, rows).llt().matrixL();
+          // The upper triangle and the row of the right-hand side are nobody's business.
+          Eigen::MatrixXd panel = Eigen::MatrixXd::Constant(ld, p, nan);
+          for (int c = 0; c < p; ++c) panel.col(c).segment(c, rows - c) = L.col(c).tail(rows - c);
+          const auto L_PP = L.topLeftCorner(p, p).triangularView<Eigen::Lower>();
+          const RowMajor x = RandomMatrix(rng, rows, stride);
+          RowMajor forward = x, backward = x;
+          kernels.substitute_forward(panel.data(), ld, rows, p, forward.data(), stride);
+          RowMajor expected = x;
+          expected.topRows(p) = L_PP.solve(Eigen::MatrixXd(x.topRows(p)));
+          if (s > 0) expected.bottomRows(s) -= L.bottomLeftCorner(s, p) * expected.topRows(p);
+          ASSERT_LT((forward - expected).cwiseAbs().maxCoeff(), 1e-11 * rows) << p << ' ' << s << ' ' << columns;
+          kernels.substitute_backward(panel.data(), ld, rows, p, backward.data(), stride);
+          expected = x;
+          if (s > 0) expected.topRows(p) -= L.bottomLeftCorner(s, p).transpose() * x.bottomRows(s);
+          expected.topRows(p) = L_PP.transpose().solve(Eigen::MatrixXd(expected.topRows(p)));
+          ASSERT_LT((backward - expected).cwiseAbs().maxCoeff(), 1e-11 * rows) << p << ' ' << s << ' ' << columns;
+        }
+      }
+    }
+  }
+}
+
+TEST(DenseKernels, ProductsOfRowsAndGramBlocks) {
+  testing::Random rng(8);
+  for (const auto& kernels : internal::AvailableKernels()) {
+    SCOPED_TRACE(kernels.name);
+    for (const int depth : {1, 6, 12, 31}) {
+      for (const int width : {4, 8, 12, 24, 40}) {
+        for (const int rows : {1, 5, 6, 20}) {
+          const RowMajor X = RandomMatrix(rng, rows, depth + 1), T = RandomMatrix(rng, depth, width + 2);
+          RowMajor Y = RandomMatrix(rng, rows, width + 3), expected = Y;
+          expected.leftCols(width) -= X.leftCols(depth) * T.leftCols(width);
+          kernels.subtract_rows(Y.data(), width + 3, X.data(), depth + 1, T.data(), width + 2, rows, depth, width);
+          ASSERT_LT((Y - expected).cwiseAbs().maxCoeff(), 1e-12 * depth);
+          ASSERT_EQ(Y.rightCols(3), expected.rightCols(3));
+        }
+      }
+      for (const int size : {3, 6}) {
+        const int count = 5, stride = internal::Stride(depth);
+        const RowMajor V = RandomMatrix(rng, count * size, stride);
+        Eigen::MatrixXd S = RandomMatrix(rng, size, count * size), expected = S;
+        for (int k = 0; k < count; ++k) {
+          const Eigen::MatrixXd v = V.block(k * size, 0, size, depth);
+          expected.middleCols(k * size, size) -= v * v.transpose();
+        }
+        kernels.subtract_grams(S.data(), V.data(), stride, count, size, depth);
+        ASSERT_LT((S - expected).cwiseAbs().maxCoeff(), 1e-12 * depth);
+      }
+    }
+  }
+}
+
 }  // namespace
 }  // namespace terse

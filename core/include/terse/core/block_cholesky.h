@@ -17,6 +17,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <deque>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -33,6 +34,24 @@ enum class FactorPath {
   kRankUpdate,  // rank-k update along the paths to the root
   kRefactored,  // the paths were ordered and factored again
 };
+
+namespace internal {
+// A number that no other object has, nor the same object after it was assigned to.
+class Identity {
+ public:
+  Identity() : value_(Next()) {}
+  Identity(const Identity&) : value_(Next()) {}
+  Identity& operator=(const Identity&) {
+    value_ = Next();
+    return *this;
+  }
+  std::uint64_t Value() const { return value_; }
+
+ private:
+  static std::uint64_t Next();
+  std::uint64_t value_;
+};
+}  // namespace internal
 
 template <int B>
 class BlockCholesky {
@@ -59,6 +78,7 @@ class BlockCholesky {
     double log_det = 0;                         // sum of 2 ln L_kk
     double y2 = 0;                              // sum of |y|^2
     bool fresh = true;                          // changed since the last Solve
+    std::uint64_t stamp = 0;                    // the version with which the panel last changed
     int ordered_rows = 0, ordered_columns = 0;  // when it was last ordered
     int Rows() const { return B * static_cast<int>(pivots.size() + separators.size()) + 1; }
     int Columns() const { return B * static_cast<int>(pivots.size()); }
@@ -135,8 +155,19 @@ class BlockCholesky {
   int FrontOf(int variable) const { return front_of_[static_cast<std::size_t>(variable)]; }
   const std::vector<int>& Roots() const { return roots_; }
   std::int64_t FactorNonzeros() const;
-  // Another number after every successful Update or Refactor, and for every factor.
+  // Stays as it is until another factor is assigned to this one.
+  std::uint64_t Identity() const { return identity_.Value(); }
+  // A larger number after every Update that changed something and every Refactor; two factors never have the same
+  // unless one was copied.
   std::uint64_t Version() const { return version_; }
+  // A slot that changed, and what it held before: first is -1 if nothing.
+  struct SlotChange {
+    int slot;
+    LinearFactor<B> before;
+  };
+  // What changed since an earlier version, a slot once. Only so much is remembered as can be of use for downdating
+  // covariances: absent if it was more, or longer ago.
+  std::optional<std::vector<SlotChange>> ChangesSince(std::uint64_t version) const;
 
  private:
   // What a factor adds to H and b.
@@ -154,6 +185,7 @@ class BlockCholesky {
   void RevertFactors(const Undo& undo);
   void Attach(int slot);
   void Detach(int slot);
+  void Remember(Undo& undo) noexcept;
   void RecountDiagonal(int variable);
   void RecountDiagonals(const Undo& undo);
   // block_cholesky_region.cpp: the touched part of the tree and its new elimination.
@@ -215,7 +247,13 @@ class BlockCholesky {
   int drift_looked_at_ = 0;  // at so many variables
   double debt_ = 0;          // flops that rank-k updates took more since the last ordering because nothing was ordered
   internal::BufferPool pool_;
-  std::uint64_t version_ = 0;
+  internal::Identity identity_;
+  std::uint64_t version_ = 0, next_version_ = 0;  // the second: of the update at hand
+  struct Step {
+    std::uint64_t version_before;
+    std::vector<SlotChange> changes;
+  };
+  std::deque<Step> history_;  // the last steps, up to kMostRemembered changes
 };
 
 extern template class BlockCholesky<3>;

@@ -1,15 +1,20 @@
 #pragma once
-// Blocks of H^-1 out of the factor, without forming H^-1.
+// Diagonal blocks of H^-1 out of the factor, without forming H^-1.
 //
 // Recursion (Ila et al., IJRR 2017, Eqs. 9-13, on fronts): top-down, with K = L_SP L_PP^-1 and Sigma_SS taken from
 // the parent's block,
 //   Sigma_PP = L_PP^-T L_PP^-1 + K' Sigma_SS K,   Sigma_SP = -Sigma_SS K.
-// A query computes the fronts on its path to the root only and keeps them until the factor changes.
+// A block is good as long as no front on its path to the root has changed since (Front::stamp): a query computes what
+// is stale on the paths of the asked variables and keeps it for later ones. Few blocks after a change are cheaper by
+// two triangular solves; the choice is made by flops.
 //
 // Indices are variables of the factor and not checked. The factor must outlive the object. Concurrent queries are safe
 // (serialised); changing the factor during a query is not.
 
+#include <cstddef>
+#include <cstdint>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <vector>
 
@@ -17,29 +22,43 @@
 
 namespace terse {
 
+// kSolve: forward substitution along the paths, for each variable on its own. kRecursion: lazily, on the paths.
+enum class DiagonalMethod { kCheapest, kSolve, kRecursion };
+
 template <int B>
 class SelectedInverse {
  public:
-  explicit SelectedInverse(const BlockCholesky<B>& factor) : factor_(&factor) {}
+  // Blocks of fronts that queries leave for later ones take at most so many bytes; the least recently used go first.
+  explicit SelectedInverse(const BlockCholesky<B>& factor, std::size_t cache_bytes = std::size_t{256} << 20)
+      : factor_(&factor), capacity_(cache_bytes) {}
 
   // Sigma_vv.
   Matrix<B, B> Diagonal(int variable) const { return Diagonals({variable}).front(); }
-  std::vector<Matrix<B, B>> Diagonals(const std::vector<int>& variables) const;
+  std::vector<Matrix<B, B>> Diagonals(const std::vector<int>& variables,
+                                      DiagonalMethod method = DiagonalMethod::kCheapest) const;
   // All Sigma_vv, by variable, in one pass that keeps only one root path in memory.
   std::vector<Matrix<B, B>> AllDiagonals() const;
+
+  std::size_t CacheBytes() const;
 
  private:
   struct Block {
     std::vector<double> covariance;  // of [P; S], n x n, column-major, full
     int n = 0;
+    std::uint64_t stamp = 0;  // good for fronts that changed with this version at the latest
+    std::uint64_t used = 0;
   };
-  Block ComputeFront(int front, const Block* parent) const;
-  const Block& Front(int front) const;
+  using BlockPointer = std::shared_ptr<Block>;
+  std::vector<int> StalePath(int front, std::uint64_t& stamp) const;
+  BlockPointer Front(int front) const;
+  void Evict() const;
 
   const BlockCholesky<B>* factor_;
+  std::size_t capacity_;
   mutable std::mutex mutex_;
-  mutable std::map<int, Block> cache_;
-  mutable std::uint64_t version_ = 0;
+  mutable std::map<int, BlockPointer> cache_;
+  mutable std::size_t bytes_ = 0;
+  mutable std::uint64_t queries_ = 0, identity_ = 0;
 };
 
 extern template class SelectedInverse<3>;

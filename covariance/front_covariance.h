@@ -1,0 +1,45 @@
+#pragma once
+// The covariance of one front's variables from that of its parent's: a step of the recursion (selected_inverse.h).
+
+#include <vector>
+
+#include "factor_paths.h"
+#include "terse/core/block_cholesky.h"
+
+namespace terse::internal {
+
+// Buffers that stay allocated from front to front.
+struct FrontScratch {
+  std::vector<double> V, K, M, corner;
+  std::vector<int> row_of;  // by variable
+};
+
+// Where a front's separators are among the parent's [P; S], in scalars. scratch.row_of holds the parent's rows.
+template <int B>
+std::vector<int> SeparatorRows(const typename BlockCholesky<B>::Front& front, const FrontScratch& scratch) {
+  std::vector<int> rows;
+  rows.reserve(front.separators.size());
+  for (const int v : front.separators) rows.push_back(scratch.row_of[At(v)]);
+  return rows;
+}
+
+// Enters the rows of a front's variables.
+template <int B>
+void SetRows(const typename BlockCholesky<B>::Front& front, int variables, FrontScratch& scratch) {
+  scratch.row_of.resize(At(variables));
+  int row = 0;
+  for (const int v : front.pivots) scratch.row_of[At(v)] = std::exchange(row, row + B);
+  for (const int v : front.separators) scratch.row_of[At(v)] = std::exchange(row, row + B);
+}
+
+// Sigma (n x n, n = p + s) of [P; S]. `parent` is the parent's, with leading dimension ldp; none for a root. If
+// diagonal_only, only the diagonal blocks of the pivots are meaningful.
+template <int B>
+void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const double* parent, int ldp,
+                            const std::vector<int>& rows_in_parent, bool diagonal_only, double* Sigma,
+                            FrontScratch& scratch);
+
+// Flops of ComputeFrontCovariance.
+double RecursionFlops(double pivots, double separators);
+
+}  // namespace terse::internal
