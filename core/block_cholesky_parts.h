@@ -24,6 +24,18 @@ struct BlockCholesky<B>::Undo {
   int variables = 0;
   std::vector<int> added;
   std::vector<std::pair<int, LinearFactor<B>>> replaced, removed;
+
+  // Calls visit(variable) for the variables of all these factors, some more than once; the added ones are in `slots`.
+  template <class Visit>
+  void VisitVariables(const std::vector<LinearFactor<B>>& slots, const Visit& visit) const {
+    const auto visit_both = [&](const LinearFactor<B>& factor) {
+      visit(factor.first);
+      if (factor.second >= 0) visit(factor.second);
+    };
+    for (const int slot : added) visit_both(slots[static_cast<std::size_t>(slot)]);
+    for (const auto& change : replaced) visit_both(change.second);
+    for (const auto& change : removed) visit_both(change.second);
+  }
 };
 
 // The touched part of the tree: what is eliminated again, and what that hangs together by.

@@ -21,20 +21,12 @@ constexpr int kLeastDrifting = 100;
 template <int B>
 void BlockCholesky<B>::AffectedFronts(const Undo& undo, std::vector<int>& affected) {
   is_affected_.resize(fronts_.size(), 0);
-  const auto touch = [&](int variable) {
-    if (variable < 0) return;
+  undo.VisitVariables(factors_, [&](int variable) {
     for (int f = front_of_[At(variable)]; f >= 0 && is_affected_[At(f)] == 0; f = fronts_[At(f)].parent) {
       affected.push_back(f);
       is_affected_[At(f)] = 1;
     }
-  };
-  const auto touch_factor = [&](const LinearFactor<B>& factor) {
-    touch(factor.first);
-    touch(factor.second);
-  };
-  for (const int slot : undo.added) touch_factor(factors_[At(slot)]);
-  for (const auto& change : undo.replaced) touch_factor(change.second);
-  for (const auto& change : undo.removed) touch_factor(change.second);
+  });
 }
 
 // Variables, factors and orphaned separators of the affected fronts and the new variables. Fills local_.

@@ -68,13 +68,7 @@ void BlockCholesky<B>::RecountDiagonal(int variable) {
 // Of the touched variables.
 template <int B>
 void BlockCholesky<B>::RecountDiagonals(const Undo& undo) {
-  const auto recount = [&](const LinearFactor<B>& f) {
-    RecountDiagonal(f.first);
-    RecountDiagonal(f.second);
-  };
-  for (const int slot : undo.added) recount(factors_[At(slot)]);
-  for (const auto& change : undo.replaced) recount(change.second);
-  for (const auto& change : undo.removed) recount(change.second);
+  undo.VisitVariables(factors_, [&](int variable) { RecountDiagonal(variable); });
 }
 
 // Leaves `undo` able to take back what was done so far, whatever throws.

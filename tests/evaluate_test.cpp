@@ -291,14 +291,12 @@ struct Published {
 
 // Published for these very files by other programs; to the digits that were published.
 TEST(EvaluateTest, ScoresOfPublishedTrajectories) {
-  const auto reference = SharedData("kitti/poses/00.txt");
-  if (!reference) GTEST_SKIP() << "kitti/poses/00.txt is not in ../shared/data";
-  const Trajectory truth = ReadTrajectory(*reference);
+  TERSE_NEEDS(reference, "kitti/poses/00.txt");
+  const Trajectory truth = ReadTrajectory(reference);
   for (const Published& published : {Published{"kitti/00_ORB_estimate.txt", 0.70, 0.25, 1.30},
                                      Published{"kitti/00_SPTAM_estimate.txt", 1.49, 0.56, 3.74}}) {
-    const auto path = SharedData(published.file);
-    ASSERT_TRUE(path.has_value()) << published.file;
-    const MatchedTrajectories matched = Match(ReadTrajectory(*path), truth);
+    TERSE_NEEDS(path, published.file);
+    const MatchedTrajectories matched = Match(ReadTrajectory(path), truth);
     EvaluateOptions options;
     options.kitti = true;
     const Evaluation out = Evaluate(matched.T_world_estimate, matched.T_world_reference, options);

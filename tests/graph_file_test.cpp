@@ -449,8 +449,7 @@ TEST(GraphFileTest, ToroRefusesWhatItCannotHold) {
 }
 
 TEST(GraphFileTest, PublicGraphsHaveTheirKnownSizes) {
-  const auto folder = SharedData("graphs");
-  if (!folder) GTEST_SKIP() << "../shared/data/graphs is not there: the public graphs are not part of the repository";
+  TERSE_NEEDS(folder, "graphs");
   struct Known {
     GraphFormat format;
     std::size_t poses, factors;
@@ -484,7 +483,7 @@ TEST(GraphFileTest, PublicGraphsHaveTheirKnownSizes) {
       {"FRH_P_toro.graph", {toro, 1316, 2820}},
   };
   std::size_t checked = 0;
-  for (const auto& entry : std::filesystem::recursive_directory_iterator(*folder)) {
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder)) {
     if (!entry.is_regular_file()) continue;
     SCOPED_TRACE(entry.path().string());
     const GraphFile file = ReadGraph(entry.path().string());

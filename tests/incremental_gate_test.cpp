@@ -38,18 +38,16 @@ struct RandomRun {
     options.noise = 0.05;
     options.loops_per_pose = 0.7;
     options.priors = priors;
-    options.id_stride = 2;
+    options.id_stride = kIdStride;
     random = testing::MakeRandomGraph<Pose>(rng, options);
     updates = OnePosePerUpdate(random.graph);
   }
 
   void MaybeRemove(const PoseGraph<Pose>& graph, GraphUpdate<Pose>& update) {
-    if (update.factors.empty() || graph.Factors().size() < 6 || rng() % 4 != 0) return;
-    const auto& victim = graph.Factors()[rng() % graph.Factors().size()];
-    const auto* f = std::get_if<RelativePoseFactor<Pose>>(&victim.factor);
-    if (f != nullptr && std::abs(f->from.value - f->to.value) > 2) update.removed.push_back(victim.id);
+    testing::MaybeRemove(rng, graph, kIdStride, update);
   }
 
+  static constexpr std::int64_t kIdStride = 2;
   Random rng;
   testing::RandomGraph<Pose> random;
   std::vector<GraphUpdate<Pose>> updates;

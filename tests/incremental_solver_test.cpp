@@ -42,13 +42,7 @@ TYPED_TEST(IncrementalSolverTest, EqualsDenseAfterEveryStep) {
     IncrementalSolver<TypeParam> solver(incremental);
     int relinearised = 0;
     for (auto& update : OnePosePerUpdate(random.graph)) {
-      // Now and then a factor that is not needed for connection goes again.
-      const auto& factors = solver.Graph().Factors();
-      if (rng() % 4 == 0 && factors.size() > 5) {
-        const auto& victim = factors[rng() % factors.size()];
-        const auto* f = std::get_if<RelativePoseFactor<TypeParam>>(&victim.factor);
-        if (f != nullptr && std::abs(f->from.value - f->to.value) > 3) update.removed.push_back(victim.id);
-      }
+      testing::MaybeRemove(rng, solver.Graph(), options.id_stride, update);
       const auto summary = solver.Update(update);
       relinearised += summary.variables_relinearised;
       EXPECT_EQ(summary.factor_ids.size(), update.factors.size());

@@ -180,11 +180,10 @@ TEST(InitialValuesData, ChordalStartsOfPublicGraphs) {
                               {"graphs/3d/parking-garage.g2o", RotationInformation::kRadians, 1.26838},
                               {"graphs/3d/sphere_bignoise_vertex3.g2o", RotationInformation::kRadians, 0}};
   for (const PublicCase& c : cases) {
-    const auto path = SharedData(c.path);
-    if (!path) GTEST_SKIP() << c.path << " is not in ../shared/data";
+    TERSE_NEEDS(path, c.path);
     ReadOptions options;
     options.rotation_information = c.meaning;
-    const GraphFile file = ReadGraph(*path, options);
+    const GraphFile file = ReadGraph(path, options);
     std::visit(
         [&](const auto& graph) {
           double chi2[4] = {};

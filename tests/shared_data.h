@@ -7,7 +7,14 @@
 
 namespace terse {
 
-// The path of a file or folder there, if present. Tests that need it call GTEST_SKIP() when it is not.
+// Sanitizers slow everything down fifty times: runs over whole data sets leave a part out in their builds.
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+constexpr bool kSlowBuild = true;
+#else
+constexpr bool kSlowBuild = false;
+#endif
+
+// The path of a file or folder there, if present.
 inline std::optional<std::string> SharedData(const std::string& relative) {
   const std::filesystem::path path = std::filesystem::path(TERSE_SOURCE_DIR) / ".." / "shared" / "data" / relative;
   if (!std::filesystem::exists(path)) return std::nullopt;
@@ -15,3 +22,9 @@ inline std::optional<std::string> SharedData(const std::string& relative) {
 }
 
 }  // namespace terse
+
+// Declares `variable`, the path of a file or folder there; skips the test if it is absent.
+#define TERSE_NEEDS(variable, relative)                                                           \
+  if (!::terse::SharedData(relative))                                                             \
+    GTEST_SKIP() << "needs the public data ../shared/data/" << (relative) << ", which is absent"; \
+  const std::string variable = *::terse::SharedData(relative)

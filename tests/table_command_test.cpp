@@ -1,4 +1,5 @@
-// `terse table igg-spo`: the published figures where the public data is present, and its errors.
+// `terse table igg-spo`: the published figures where the public data is present, and its errors. Builds with sanitizers
+// take the fast variants only.
 
 #include <gtest/gtest.h>
 
@@ -9,13 +10,6 @@
 
 namespace terse {
 namespace {
-
-// Sanitizers slow the command down fifty times: their builds take the fast variants only.
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-constexpr bool kSlowBuild = true;
-#else
-constexpr bool kSlowBuild = false;
-#endif
 
 class TableCommand : public testing::CommandTest {
  protected:
@@ -63,10 +57,9 @@ TEST_F(TableCommand, RunsAnyGraphOfThatName) {
 
 // The figures of the paper's Tables as its published code computes them.
 TEST_F(TableCommand, ReproducesThePaperOnMit) {
-  const auto folder = SharedData("graphs/igg_spo");
-  if (!folder) GTEST_SKIP() << "needs the public data set ../shared/data/graphs/igg_spo, which is absent";
+  TERSE_NEEDS(folder, "graphs/igg_spo");
   const std::string full = kSlowBuild ? "" : "gn1,gni,";
-  const auto rows = Rows(*folder, "--graphs MIT --initial file --policies " + full + "gni-spo-igg");
+  const auto rows = Rows(folder, "--graphs MIT --initial file --policies " + full + "gni-spo-igg");
   const auto& spo = Row(rows, "gni-spo-igg");
   ExpectWithin(1e-3, 0.0165918, spo["normalized_chi2"]["final"], "SPO-IGG");
   ExpectWithin(1e-3, 0.0184891, spo["normalized_chi2"]["mean"], "SPO-IGG");
@@ -82,10 +75,9 @@ TEST_F(TableCommand, ReproducesThePaperOnMit) {
 }
 
 TEST_F(TableCommand, ReproducesThePaperWithPriors) {
-  const auto folder = SharedData("graphs/igg_spo");
-  if (!folder) GTEST_SKIP() << "needs the public data set ../shared/data/graphs/igg_spo, which is absent";
+  TERSE_NEEDS(folder, "graphs/igg_spo");
   const std::string full = kSlowBuild ? "" : "gni,";
-  const auto rows = Rows(*folder, "--graphs MIT-P --initial file --policies " + full + "gni-spo-igg");
+  const auto rows = Rows(folder, "--graphs MIT-P --initial file --policies " + full + "gni-spo-igg");
   const auto& spo = Row(rows, "gni-spo-igg");
   ExpectWithin(1e-3, 0.0172741, spo["normalized_chi2"]["final"], "SPO-IGG");
   ExpectWithin(1e-3, 0.0206264, spo["normalized_chi2"]["mean"], "SPO-IGG");

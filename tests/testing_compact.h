@@ -6,27 +6,9 @@
 
 #include "terse/compact/compact_pose_slam.h"
 #include "terse/compact/graph_replay.h"
-#include "terse/core/generate.h"
-#include "testing.h"
+#include "testing_scene.h"
 
 namespace terse::testing {
-
-template <class Pose>
-RandomGraph<Pose> MakeScene(Scene scene, long poses, std::uint64_t seed) {
-  RandomGraph<Pose> out;
-  GenerateOptions options;
-  options.scene = scene;
-  options.poses = poses;
-  options.seed = seed;
-  GenerateSink<Pose> sink;
-  sink.pose = [&](PoseId id, const Pose& T) {
-    out.truth.push_back(T);
-    out.graph.AddPose(id, T);
-  };
-  sink.edge = [&](const RelativePoseFactor<Pose>& edge) { out.graph.AddFactor(edge); };
-  Generate(options, sink);
-  return out;
-}
 
 // The same edges with exact measurements.
 template <class Pose>

@@ -30,6 +30,15 @@ std::vector<GraphUpdate<Pose>> OnePosePerUpdate(const PoseGraph<Pose>& graph, bo
   return updates;
 }
 
+// Now and then takes away a factor that is not needed for connection: one between poses that do not follow each other.
+template <class Pose>
+void MaybeRemove(Random& rng, const PoseGraph<Pose>& graph, std::int64_t id_stride, GraphUpdate<Pose>& update) {
+  if (update.factors.empty() || graph.Factors().size() < 6 || rng() % 4 != 0) return;
+  const auto& victim = graph.Factors()[rng() % graph.Factors().size()];
+  const auto* f = std::get_if<RelativePoseFactor<Pose>>(&victim.factor);
+  if (f != nullptr && std::abs(f->from.value - f->to.value) > id_stride) update.removed.push_back(victim.id);
+}
+
 // Factor, predicted decrease and log-determinant equal dense ones at the solver's linearisation points; so does the
 // estimate unless a closed gate left it behind.
 template <class Pose>

@@ -4,10 +4,9 @@
 #include <tbb/global_control.h>
 
 #include "terse/core/batch_solver.h"
-#include "terse/core/generate.h"
 #include "terse/core/incremental_solver.h"
 #include "terse/core/initial_values.h"
-#include "testing.h"
+#include "testing_scene.h"
 
 namespace terse {
 namespace {
@@ -15,26 +14,13 @@ namespace {
 // Four threads even where there are fewer processors.
 const tbb::global_control kAllowed(tbb::global_control::max_allowed_parallelism, 4);
 
-template <class Pose>
-PoseGraph<Pose> MakeScene(Scene scene, long poses) {
-  PoseGraph<Pose> graph;
-  GenerateOptions options;
-  options.scene = scene;
-  options.poses = poses;
-  GenerateSink<Pose> sink;
-  sink.pose = [&](PoseId id, const Pose&) { graph.AddPose(id); };
-  sink.edge = [&](const RelativePoseFactor<Pose>& edge) { graph.AddFactor(edge); };
-  Generate<Pose>(options, sink);
-  return graph;
-}
-
 // Large enough that the tree is spread over threads, with fronts large enough to be shared.
 template <class Pose>
 PoseGraph<Pose> MakeLargeGraph() {
   if constexpr (Pose::kDof == 3) {
-    return MakeScene<Pose>(Scene::kManhattan, 1500);
+    return testing::MakeScene<Pose>(Scene::kManhattan, 1500).graph;
   } else {
-    return MakeScene<Pose>(Scene::kSphere, 1500);
+    return testing::MakeScene<Pose>(Scene::kSphere, 1500).graph;
   }
 }
 

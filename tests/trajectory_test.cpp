@@ -256,9 +256,9 @@ TEST(TrajectoryTest, GraphInSpaceKeepsItsPoses) {
 }
 
 TEST(TrajectoryTest, KittiAndTumFormsOfTheGroundTruthAgree) {
-  const auto kitti = SharedData("kitti/poses/00.txt"), tum = SharedData("kitti/00_ground_truth.tum");
-  if (!kitti || !tum) GTEST_SKIP() << "kitti/poses/00.txt is not in ../shared/data";
-  const Trajectory a = ReadTrajectory(*kitti), b = ReadTrajectory(*tum);
+  TERSE_NEEDS(kitti, "kitti/poses/00.txt");
+  TERSE_NEEDS(tum, "kitti/00_ground_truth.tum");
+  const Trajectory a = ReadTrajectory(kitti), b = ReadTrajectory(tum);
   EXPECT_EQ(a.format, TrajectoryFormat::kKitti);
   EXPECT_EQ(b.format, TrajectoryFormat::kTum);
   ASSERT_EQ(a.stamps.size(), 4541u);

@@ -3,24 +3,11 @@
 #include <cstdio>
 
 #include "shared_data.h"
-#include "terse/core/generate.h"
+#include "testing_scene.h"
 
 namespace terse::bench {
 
-template <class Pose>
-static PoseGraph<Pose> Generated(Scene scene, long poses) {
-  PoseGraph<Pose> graph;
-  GenerateOptions options;
-  options.scene = scene;
-  options.poses = poses;
-  GenerateSink<Pose> sink;
-  sink.pose = [&](PoseId id, const Pose&) { graph.AddPose(id); };
-  sink.edge = [&](const RelativePoseFactor<Pose>& edge) { graph.AddFactor(edge); };
-  Generate<Pose>(options, sink);
-  return graph;
-}
-
-PoseGraph<SE2> GeneratedManhattan(long poses) { return Generated<SE2>(Scene::kManhattan, poses); }
+PoseGraph<SE2> GeneratedManhattan(long poses) { return testing::MakeScene<SE2>(Scene::kManhattan, poses).graph; }
 
 std::vector<BenchGraph> BenchGraphs() {
   constexpr auto kQuaternion = RotationInformation::kQuaternion, kRadians = RotationInformation::kRadians;
@@ -50,7 +37,8 @@ std::vector<BenchGraph> BenchGraphs() {
     options.rotation_information = file.meaning;
     graphs.push_back({file.name, file.start, [=] { return ReadGraph(*path, options).graph; }});
   }
-  graphs.push_back({"generated sphere 2500", kCompose, [] { return Generated<SE3>(Scene::kSphere, 2500); }});
+  graphs.push_back(
+      {"generated sphere 2500", kCompose, [] { return testing::MakeScene<SE3>(Scene::kSphere, 2500).graph; }});
   graphs.push_back({"generated manhattan 10000", kChordal, [] { return GeneratedManhattan(10000); }});
   return graphs;
 }
