@@ -34,9 +34,9 @@ struct DenseKernels {
   // Y -= X T, all row-major: Y rows x width, X rows x depth, T depth x width; width a multiple of kLanes.
   void (*subtract_rows)(double* y, int ldy, const double* x, int ldx, const double* t, int ldt, int rows, int depth,
                         int width);
-  // For each of `count` blocks: S (size x size, contiguous) -= V V', V size x depth, row-major with `stride` columns.
-  // Size 3 or 6.
-  void (*subtract_grams)(double* s, const double* v, int stride, int count, int size, int depth);
+  // For each of `count` blocks: S (size x size, contiguous) -= (Y M Y' + Y M' Y') / 2, Y size x depth, row-major with
+  // `stride` columns, the ones beyond depth zero; M depth x depth, row-major with `stride` columns. Size 3 or 6.
+  void (*subtract_congruences)(double* s, const double* y, int stride, const double* m, int count, int size, int depth);
 };
 
 inline constexpr int kLanes = 4;

@@ -371,21 +371,34 @@ struct RowLanes {
   }
 };
 
-// S (N x N) -= V V'.
+// S (N x N) -= the symmetric part of Y M Y', a vector of M's columns at a time.
 template <int N>
-inline void SubtractGram(double* s, const double* v, long stride, int depth) {
+inline void SubtractCongruence(double* s, const double* y, long stride, const double* m, int depth) {
   constexpr int kPadded = N <= 4 ? 4 : 8, W = kWidth < kPadded ? kWidth : kPadded, kVectors = kPadded / W;
+  constexpr int kColumns = kWidth < 4 ? kWidth : 4;
   using Lanes = typename LanesOf<W>::Type;
+  using ColumnLanes = typename LanesOf<kColumns>::Type;
   Lanes sum[N][kVectors] = {};
-  for (int k = 0; k < depth; ++k) {
-    double column[kPadded] = {};
-    for (int r = 0; r < N; ++r) column[r] = v[r * stride + k];
-    for (int r = 0; r < N; ++r) {
-      for (int i = 0; i < kVectors; ++i) sum[r][i] += column[r] * *reinterpret_cast<const Lanes*>(column + i * W);
+  for (int c = 0; c < depth; c += kColumns) {
+    ColumnLanes t[N] = {};
+    for (int k = 0; k < depth; ++k) {
+      const ColumnLanes row = *reinterpret_cast<const ColumnLanes*>(m + k * stride + c);
+      for (int r = 0; r < N; ++r) t[r] += y[r * stride + k] * row;
+    }
+    for (int i = 0; i < kColumns; ++i) {
+      double column[kPadded] = {};
+      for (int r = 0; r < N; ++r) column[r] = y[r * stride + c + i];
+      for (int r = 0; r < N; ++r) {
+        for (int v = 0; v < kVectors; ++v) sum[r][v] += t[r][i] * *reinterpret_cast<const Lanes*>(column + v * W);
+      }
     }
   }
+  double full[N][kPadded];
   for (int r = 0; r < N; ++r) {
-    for (int c = 0; c < N; ++c) s[r * N + c] -= sum[r][c / W][c % W];
+    for (int v = 0; v < kVectors; ++v) *reinterpret_cast<Lanes*>(full[r] + v * W) = sum[r][v];
+  }
+  for (int r = 0; r < N; ++r) {
+    for (int c = 0; c < N; ++c) s[r * N + c] -= 0.5 * (full[r][c] + full[c][r]);
   }
 }
 
@@ -418,13 +431,13 @@ void SubtractRows(double* y, int ldy, const double* x, int ldx, const double* t,
   ForLanes(width, RowLanes{y, ldy, x, ldx, t, ldt, rows, depth});
 }
 
-void SubtractGrams(double* s, const double* v, int stride, int count, int size, int depth) {
+void SubtractCongruences(double* s, const double* y, int stride, const double* m, int count, int size, int depth) {
   for (long k = 0; k < count; ++k) {
-    const double* block = v + k * size * stride;
+    const double* block = y + k * size * stride;
     if (size == 3) {
-      SubtractGram<3>(s + k * 9, block, stride, depth);
+      SubtractCongruence<3>(s + k * 9, block, stride, m, depth);
     } else if (size == 6) {
-      SubtractGram<6>(s + k * 36, block, stride, depth);
+      SubtractCongruence<6>(s + k * 36, block, stride, m, depth);
     }
   }
 }

@@ -65,7 +65,8 @@ MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>&
   }
   for (int k = 0; k < paths.Size(); ++k) {
     if (needed[At(k)] != internal::kNoRow) {
-      internal::BackwardFront<B>(paths[k], needed[At(k)], row_of, X.data(), stride, scratch);
+      internal::BackwardFront<B>(paths[k], needed[At(k)], first[At(k)] == internal::kNoRow, row_of, X.data(), stride,
+                                 scratch);
     }
   }
   MatrixX out(B * static_cast<Eigen::Index>(rows.size()), B * static_cast<Eigen::Index>(columns.size()));
@@ -158,32 +159,41 @@ MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& 
 namespace internal {
 
 template <int B>
-void SolveAll(const BlockCholesky<B>& factor, const std::vector<int>& nonzero, std::vector<double>& X, int stride) {
+void SolveAll(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>& E, std::vector<double>& X,
+              int stride) {
+  const size_t size = At(factor.Variables()) * B * At(stride);
+  if (X.size() < size) X.resize(size + size / 2);
   std::vector<int>& row_of = RowScratch(factor.Variables());
   for (int v = 0; v < factor.Variables(); ++v) row_of[At(v)] = B * v;
   std::vector<double> scratch;
-  {
-    FactorPaths<B> paths(factor);
-    for (const int v : nonzero) paths.Add(v);
-    std::vector<int> first(At(paths.Size()), kNoRow);
-    const auto lower = [&](std::vector<int>& bound, int v) {
-      int& at = bound[At(paths.PositionOf(v))];
-      at = std::min(at, PivotRow<B>(paths[paths.PositionOf(v)], v));
-    };
-    for (const int v : nonzero) lower(first, v);
-    ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
+  FactorPaths<B> paths(factor);
+  for (const auto& e : E) paths.Add(e.variable);
+  for (int k = 0; k < paths.Size(); ++k) {
+    for (const int v : paths[k].pivots) std::fill_n(X.begin() + long{v} * B * stride, B * stride, 0.0);
   }
+  std::vector<int> first(At(paths.Size()), kNoRow);
+  const auto lower = [&](std::vector<int>& bound, int v) {
+    int& at = bound[At(paths.PositionOf(v))];
+    at = std::min(at, PivotRow<B>(paths[paths.PositionOf(v)], v));
+  };
+  for (const auto& e : E) {
+    Eigen::Map<Eigen::Matrix<double, B, B, Eigen::RowMajor>, 0, Eigen::OuterStride<>>(
+        X.data() + long{e.variable} * B * stride + e.column, Eigen::OuterStride<>(stride)) += e.block;
+    lower(first, e.variable);
+  }
+  ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
   std::vector<int> stack(factor.Roots());
   while (!stack.empty()) {
+    const int k = paths.Find(stack.back());
     const auto& front = factor.FrontAt(stack.back());
     stack.pop_back();
-    BackwardFront<B>(front, 0, row_of, X.data(), stride, scratch);
+    BackwardFront<B>(front, 0, k < 0 || first[At(k)] == kNoRow, row_of, X.data(), stride, scratch);
     stack.insert(stack.end(), front.children.begin(), front.children.end());
   }
 }
 
-template void SolveAll<3>(const BlockCholesky<3>&, const std::vector<int>&, std::vector<double>&, int);
-template void SolveAll<6>(const BlockCholesky<6>&, const std::vector<int>&, std::vector<double>&, int);
+template void SolveAll<3>(const BlockCholesky<3>&, const std::vector<RightHandSide<3>>&, std::vector<double>&, int);
+template void SolveAll<6>(const BlockCholesky<6>&, const std::vector<RightHandSide<6>>&, std::vector<double>&, int);
 
 }  // namespace internal
 

@@ -35,7 +35,8 @@ class FactorPaths {
   }
   int Size() const { return static_cast<int>(fronts_.size()); }
   const typename BlockCholesky<B>::Front& operator[](int k) const { return factor_->FrontAt(fronts_[At(k)]); }
-  // Where the front of a variable, or the parent of a front, is in the list.
+  // Where a front, the front of a variable, or the parent of a front, is in the list; -1: it is not.
+  int Find(int front) const { return Position(front); }
   int PositionOf(int variable) const { return Position(factor_->FrontOf(variable)); }
   int ParentOf(int k) const {
     const int parent = (*this)[k].parent;
@@ -90,13 +91,17 @@ void ForwardFront(const typename BlockCholesky<B>::Front& front, int first, cons
   ScatterRows<B>(front.separators, row_of, scratch.data() + At(p) * At(stride), stride, X);
 }
 
-// X_P = L_PP^-T (X_P - L_SP' X_S) from row `first` of the front on.
+// X_P = L_PP^-T (X_P - L_SP' X_S) from row `first` of the front on. If is_zero, X_P is taken for zero.
 template <int B>
-void BackwardFront(const typename BlockCholesky<B>::Front& front, int first, const std::vector<int>& row_of, double* X,
-                   int stride, std::vector<double>& scratch) {
+void BackwardFront(const typename BlockCholesky<B>::Front& front, int first, bool is_zero,
+                   const std::vector<int>& row_of, double* X, int stride, std::vector<double>& scratch) {
   const int ld = front.Rows(), rows = ld - 1, p = front.Columns();
   scratch.resize(At(rows) * At(stride));
-  GatherRows<B>(front.pivots, row_of, X, stride, scratch.data());
+  if (is_zero) {
+    std::fill_n(scratch.begin(), At(p) * At(stride), 0.0);
+  } else {
+    GatherRows<B>(front.pivots, row_of, X, stride, scratch.data());
+  }
   GatherRows<B>(front.separators, row_of, X, stride, scratch.data() + At(p) * At(stride));
   Kernels().substitute_backward(front.panel.data() + At(first) * At(ld) + At(first), ld, rows - first, p - first,
                                 scratch.data() + At(first) * At(stride), stride);
@@ -116,8 +121,17 @@ void ForwardPaths(const FactorPaths<B>& paths, std::vector<int>& first, const Lo
   }
 }
 
-// X = H^-1 X for all variables; X has the rows of variable v from B v on and is zero but for `nonzero`.
+// A block of right-hand sides.
 template <int B>
-void SolveAll(const BlockCholesky<B>& factor, const std::vector<int>& nonzero, std::vector<double>& X, int stride);
+struct RightHandSide {
+  int variable, column;
+  Matrix<B, B> block;
+};
+
+// X = H^-1 E for all variables: E is the sum of the blocks, X has the rows of variable v from B v on. What was in X
+// before does not matter, if it is finite.
+template <int B>
+void SolveAll(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>& E, std::vector<double>& X,
+              int stride);
 
 }  // namespace terse::internal

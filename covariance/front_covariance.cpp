@@ -45,8 +45,6 @@ void NegativeInverseTransposed(const double* L, int ld, int p, std::vector<doubl
 
 }  // namespace
 
-double RecursionFlops(double p, double s) { return 2 * p * p * p / 3 + 2 * s * p * p + 2 * s * s * p; }
-
 template <int B>
 void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const double* parent, int ldp,
                             const std::vector<int>& rows_in_parent, bool diagonal_only, double* Sigma,
@@ -110,6 +108,54 @@ void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const
   }
 }
 
+template <int B>
+void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch) {
+  out.resize(At(factor.Variables()));
+  std::vector<RecursionLevel>& path = scratch.path;
+  std::size_t depth = 0;  // levels in use; those below keep their buffers
+  const auto visit = [&](int id, const std::vector<int>& rows) {
+    if (path.size() == depth) path.emplace_back();
+    RecursionLevel& here = path[depth];
+    const auto& front = factor.FrontAt(id);
+    const int n = here.n = front.Rows() - 1;
+    here.front = id;
+    here.next_child = 0;
+    if (here.covariance.size() < At(n) * At(n)) here.covariance.resize(At(n) * At(n));
+    const RecursionLevel* parent = depth > 0 ? &path[depth - 1] : nullptr;
+    ComputeFrontCovariance<B>(front, parent ? parent->covariance.data() : nullptr, parent ? parent->n : 0, rows,
+                              front.children.empty(), here.covariance.data(), scratch.front);
+    const Eigen::Map<const MatrixX> Sigma(here.covariance.data(), n, n);
+    Eigen::Index at = 0;
+    for (const int v : front.pivots) {
+      out[At(v)] = Sigma.block<B, B>(at, at);
+      at += B;
+    }
+    ++depth;
+    if (front.children.empty()) return;
+    SetRows<B>(front, factor.Variables(), scratch.front);
+    here.rows.resize(front.children.size());
+    for (std::size_t k = 0; k < front.children.size(); ++k) {
+      SeparatorRows<B>(factor.FrontAt(front.children[k]), scratch.front, here.rows[k]);
+    }
+  };
+  for (const int root : factor.Roots()) {
+    visit(root, {});
+    while (depth > 0) {
+      RecursionLevel& top = path[depth - 1];
+      const auto& children = factor.FrontAt(top.front).children;
+      if (top.next_child == children.size()) {
+        --depth;
+      } else {
+        const std::size_t k = top.next_child++;
+        const std::vector<int> rows = std::move(top.rows[k]);
+        visit(children[k], rows);
+      }
+    }
+  }
+}
+
+template void ComputeAllDiagonals<3>(const BlockCholesky<3>&, std::vector<Matrix<3, 3>>&, RecursionScratch&);
+template void ComputeAllDiagonals<6>(const BlockCholesky<6>&, std::vector<Matrix<6, 6>>&, RecursionScratch&);
 template void ComputeFrontCovariance<3>(const BlockCholesky<3>::Front&, const double*, int, const std::vector<int>&,
                                         bool, double*, FrontScratch&);
 template void ComputeFrontCovariance<6>(const BlockCholesky<6>::Front&, const double*, int, const std::vector<int>&,

@@ -16,11 +16,9 @@ struct FrontScratch {
 
 // Where a front's separators are among the parent's [P; S], in scalars. scratch.row_of holds the parent's rows.
 template <int B>
-std::vector<int> SeparatorRows(const typename BlockCholesky<B>::Front& front, const FrontScratch& scratch) {
-  std::vector<int> rows;
-  rows.reserve(front.separators.size());
+void SeparatorRows(const typename BlockCholesky<B>::Front& front, const FrontScratch& scratch, std::vector<int>& rows) {
+  rows.clear();
   for (const int v : front.separators) rows.push_back(scratch.row_of[At(v)]);
-  return rows;
 }
 
 // Enters the rows of a front's variables.
@@ -40,6 +38,27 @@ void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const
                             FrontScratch& scratch);
 
 // Flops of ComputeFrontCovariance.
-double RecursionFlops(double pivots, double separators);
+template <int B>
+double RecursionFlops(const typename BlockCholesky<B>::Front& front) {
+  const double p = front.Columns(), s = front.Rows() - 1 - p;
+  return 2 * p * p * p / 3 + 2 * s * p * p + 2 * s * s * p;
+}
+
+// A front on the way down from the root.
+struct RecursionLevel {
+  int front = -1, n = 0;
+  std::vector<double> covariance;
+  std::vector<std::vector<int>> rows;  // by child: its separators'
+  std::size_t next_child = 0;
+};
+
+struct RecursionScratch {
+  FrontScratch front;
+  std::vector<RecursionLevel> path;
+};
+
+// All Sigma_vv, by variable, in one pass that keeps one path in memory.
+template <int B>
+void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch);
 
 }  // namespace terse::internal

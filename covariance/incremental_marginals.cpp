@@ -2,83 +2,98 @@
 
 #include <stdexcept>
 
+#include "kept_covariances.h"
 #include "terse/covariance/selected_inverse.h"
 
 namespace terse {
 
+using internal::At;
 using std::size_t;
 
-const char* Name(CovariancePath path) {
-  switch (path) {
-    case CovariancePath::kNone: return "none";
-    case CovariancePath::kPropagated: return "propagated";
-    case CovariancePath::kDowndated: return "downdated";
-    case CovariancePath::kRecursion: return "recursion";
-  }
-  return "";
-}
-
 template <class Pose>
-struct IncrementalMarginals<Pose>::Kept {
-  explicit Kept(const BlockCholesky<Pose::kDof>& factor) : inverse(factor) {}
+struct IncrementalMarginals<Pose>::State {
+  internal::KeptCovariances<Pose::kDof> kept;
   SelectedInverse<Pose::kDof> inverse;
 };
 
 template <class Pose>
 IncrementalMarginals<Pose>::IncrementalMarginals(const IncrementalSolver<Pose>& solver,
                                                  const CovarianceOptions& options)
-    : solver_(&solver), options_(options), kept_(std::make_unique<Kept>(solver.Factor())) {}
+    : solver_(&solver),
+      options_(options),
+      state_(new State{internal::KeptCovariances<Pose::kDof>(solver.Factor(), options),
+                       SelectedInverse<Pose::kDof>(solver.Factor(), options.cache_bytes)}) {}
 
 template <class Pose>
 IncrementalMarginals<Pose>::~IncrementalMarginals() = default;
 
 template <class Pose>
 CovarianceReport IncrementalMarginals<Pose>::Update() {
-  if (solver_->Graph().Poses().empty()) throw std::invalid_argument("the solver has no pose yet");
-  CovarianceReport report;
-  report.path = CovariancePath::kRecursion;
-  return report;
+  return state_->kept.Update();
+}
+
+template <class Pose>
+PoseId IncrementalMarginals<Pose>::NewestId() const {
+  const auto& poses = solver_->Graph().Poses();
+  if (poses.empty()) throw std::invalid_argument("the solver has no pose yet");
+  return poses.back().id;
 }
 
 template <class Pose>
 typename Pose::Jacobian IncrementalMarginals<Pose>::Newest(const CovarianceConvention& convention) const {
-  if (solver_->Graph().Poses().empty()) throw std::invalid_argument("the solver has no pose yet");
-  return this->Marginal(solver_->Graph().Poses().back().id, convention);
+  return this->Marginal(NewestId(), convention);
 }
 
 template <class Pose>
 std::vector<typename Pose::Jacobian> IncrementalMarginals<Pose>::NewestColumn(
     const CovarianceConvention& convention) const {
-  if (solver_->Graph().Poses().empty()) throw std::invalid_argument("the solver has no pose yet");
+  const PoseId newest = NewestId();
   std::vector<PoseId> ids;
+  ids.reserve(solver_->Graph().Poses().size());
   for (const auto& node : solver_->Graph().Poses()) ids.push_back(node.id);
-  return this->Column(ids.back(), ids, convention);
+  return this->Column(newest, ids, convention);
+}
+
+template <class Pose>
+const std::vector<typename Pose::Jacobian>& IncrementalMarginals<Pose>::KeptMarginals() const {
+  if (!state_->kept.IsCurrent()) throw std::logic_error("the solver changed since the covariances' last Update");
+  return state_->kept.Diagonals();
 }
 
 template <class Pose>
 size_t IncrementalMarginals<Pose>::CacheBytes() const {
-  return 0;
+  return state_->inverse.CacheBytes();
 }
 
 template <class Pose>
 size_t IncrementalMarginals<Pose>::KeptBytes() const {
-  return 0;
+  return state_->kept.Bytes();
 }
 
 template <class Pose>
 std::vector<typename Pose::Jacobian> IncrementalMarginals<Pose>::DiagonalBlocks(const std::vector<int>& indices) const {
-  return kept_->inverse.Diagonals(indices);
+  if (!state_->kept.IsCurrent()) return state_->inverse.Diagonals(indices, options_.diagonal_method);
+  std::vector<Jacobian> out;
+  out.reserve(indices.size());
+  for (const int i : indices) out.push_back(state_->kept.Diagonals()[At(i)]);
+  return out;
 }
 
 template <class Pose>
 std::vector<typename Pose::Jacobian> IncrementalMarginals<Pose>::AllDiagonalBlocks() const {
-  return kept_->inverse.AllDiagonals();
+  return state_->kept.IsCurrent() ? state_->kept.Diagonals() : state_->inverse.AllDiagonals();
 }
 
 template <class Pose>
 std::vector<typename Pose::Jacobian> IncrementalMarginals<Pose>::ColumnBlocks(int of,
                                                                               const std::vector<int>& indices) const {
-  return PoseMarginals<Pose>::ColumnBlocks(of, indices);
+  if (!state_->kept.IsCurrent() || of + 1 != solver_->Factor().Variables()) {
+    return PoseMarginals<Pose>::ColumnBlocks(of, indices);
+  }
+  std::vector<Jacobian> out;
+  out.reserve(indices.size());
+  for (const int i : indices) out.push_back(state_->kept.Column(i));
+  return out;
 }
 
 template class IncrementalMarginals<SE2>;

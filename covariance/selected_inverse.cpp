@@ -17,11 +17,6 @@ using std::size_t;
 // Measured: a flop of single substitutions takes about as long as so many of the recursion's products.
 constexpr double kSolveFlop = 2.5;
 
-template <int B>
-double RecursionFlopsOf(const typename BlockCholesky<B>::Front& front) {
-  return internal::RecursionFlops(front.Columns(), front.Rows() - 1 - front.Columns());
-}
-
 // Of forward substitution from one variable to the root.
 template <int B>
 double SolveFlops(const BlockCholesky<B>& factor, int variable) {
@@ -67,7 +62,7 @@ typename SelectedInverse<B>::BlockPointer SelectedInverse<B>::Front(int id) cons
     std::vector<int> rows;
     if (parent) {
       internal::SetRows<B>(factor_->FrontAt(front.parent), factor_->Variables(), scratch);
-      rows = internal::SeparatorRows<B>(front, scratch);
+      internal::SeparatorRows<B>(front, scratch, rows);
     }
     block = std::make_shared<Block>();
     block->n = front.Rows() - 1;
@@ -114,7 +109,7 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
     for (const int v : variables) {
       std::uint64_t stamp = 0;
       for (const int f : StalePath(factor_->FrontOf(v), stamp)) {
-        if (stale.insert(f).second) recursion += RecursionFlopsOf<B>(factor_->FrontAt(f));
+        if (stale.insert(f).second) recursion += internal::RecursionFlops<B>(factor_->FrontAt(f));
       }
       solve += SolveFlops(*factor_, v);
     }
@@ -138,54 +133,9 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
 
 template <int B>
 std::vector<Matrix<B, B>> SelectedInverse<B>::AllDiagonals() const {
-  std::vector<Matrix<B, B>> out(At(factor_->Variables()));
-  struct Level {
-    int front;
-    std::vector<double> covariance;
-    std::vector<std::vector<int>> rows;  // by child: its separators'
-    size_t next_child = 0;
-  };
-  std::vector<Level> path;
-  size_t depth = 0;  // levels in use; those below keep their buffers
-  FrontScratch scratch;
-  const auto visit = [&](int id, const std::vector<int>& rows) {
-    if (path.size() == depth) path.emplace_back();
-    Level& here = path[depth];
-    const auto& front = factor_->FrontAt(id);
-    const int n = front.Rows() - 1;
-    here.front = id;
-    here.next_child = 0;
-    here.covariance.resize(At(n) * At(n));
-    const double* parent = depth > 0 ? path[depth - 1].covariance.data() : nullptr;
-    const int ldp = depth > 0 ? factor_->FrontAt(path[depth - 1].front).Rows() - 1 : 0;
-    internal::ComputeFrontCovariance<B>(front, parent, ldp, rows, front.children.empty(), here.covariance.data(),
-                                        scratch);
-    const Eigen::Map<const MatrixX> Sigma(here.covariance.data(), n, n);
-    Eigen::Index at = 0;
-    for (const int v : front.pivots) {
-      out[At(v)] = Sigma.block<B, B>(at, at);
-      at += B;
-    }
-    here.rows.clear();
-    if (!front.children.empty()) internal::SetRows<B>(front, factor_->Variables(), scratch);
-    for (const int child : front.children) {
-      here.rows.push_back(internal::SeparatorRows<B>(factor_->FrontAt(child), scratch));
-    }
-    ++depth;
-  };
-  for (const int root : factor_->Roots()) {
-    visit(root, {});
-    while (depth > 0) {
-      Level& top = path[depth - 1];
-      const auto& children = factor_->FrontAt(top.front).children;
-      if (top.next_child == children.size()) {
-        --depth;
-      } else {
-        const size_t k = top.next_child++;
-        visit(children[k], std::vector<int>(top.rows[k]));
-      }
-    }
-  }
+  std::vector<Matrix<B, B>> out;
+  internal::RecursionScratch scratch;
+  internal::ComputeAllDiagonals(*factor_, out, scratch);
   return out;
 }
 

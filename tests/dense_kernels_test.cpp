@@ -235,7 +235,7 @@ TEST(DenseKernels, SubstitutionWithManyRightHandSides) {
   }
 }
 
-TEST(DenseKernels, ProductsOfRowsAndGramBlocks) {
+TEST(DenseKernels, ProductsOfRowsAndCongruences) {
   testing::Random rng(8);
   for (const auto& kernels : internal::AvailableKernels()) {
     SCOPED_TRACE(kernels.name);
@@ -252,14 +252,16 @@ TEST(DenseKernels, ProductsOfRowsAndGramBlocks) {
       }
       for (const int size : {3, 6}) {
         const int count = 5, stride = internal::Stride(depth);
-        const RowMajor V = RandomMatrix(rng, count * size, stride);
+        RowMajor Y = RandomMatrix(rng, count * size, stride), M = RandomMatrix(rng, stride, stride);
+        Y.rightCols(stride - depth).setZero();
         Eigen::MatrixXd S = RandomMatrix(rng, size, count * size), expected = S;
         for (int k = 0; k < count; ++k) {
-          const Eigen::MatrixXd v = V.block(k * size, 0, size, depth);
-          expected.middleCols(k * size, size) -= v * v.transpose();
+          const Eigen::MatrixXd y = Y.block(k * size, 0, size, depth);
+          const Eigen::MatrixXd product = y * M.topLeftCorner(depth, depth) * y.transpose();
+          expected.middleCols(k * size, size) -= (product + product.transpose()) / 2;
         }
-        kernels.subtract_grams(S.data(), V.data(), stride, count, size, depth);
-        ASSERT_LT((S - expected).cwiseAbs().maxCoeff(), 1e-12 * depth);
+        kernels.subtract_congruences(S.data(), Y.data(), stride, M.data(), count, size, depth);
+        ASSERT_LT((S - expected).cwiseAbs().maxCoeff(), 1e-12 * depth * depth);
       }
     }
   }

@@ -14,41 +14,10 @@
 #include <vector>
 
 #include "terse/core/incremental_solver.h"
+#include "terse/covariance/covariance_options.h"
 #include "terse/covariance/pose_marginals.h"
 
 namespace terse {
-
-// How the kept blocks came up to date (Ila et al., IJRR 2017, section 3.4).
-enum class CovariancePath {
-  kNone,        // nothing had changed
-  kPropagated,  // appended poses: no older block changes, new ones follow by composition
-  kDowndated,   // Woodbury: changed factors at fixed linearisation points (Eqs. 14-15)
-  kRecursion,   // all blocks anew from the factor (Eqs. 9-13)
-};
-const char* Name(CovariancePath path);
-
-struct CovarianceOptions {
-  // kCheapest: by a cost model, flops times what a flop was measured to take. The others where they can, for tests and
-  // benchmarks.
-  enum class Method { kCheapest, kDowndate, kRecursion };
-  Method method = Method::kCheapest;
-  // Of the blocks of single fronts that queries leave for later ones. Least recently used ones go first.
-  std::size_t cache_bytes = std::size_t{256} << 20;
-  // Relative error that repeated downdates may leave in a kept block before all are computed anew.
-  double max_drift = 1e-9;
-};
-
-struct CovarianceReport {
-  CovariancePath path = CovariancePath::kNone;
-  int columns = 0;   // columns of H^-1 that a downdate took
-  double flops = 0;  // multiplications and additions
-  double seconds = 0;
-  double downdate_seconds = 0;  // what the cost model expected; 0: not considered
-  double recursion_seconds = 0;
-  double drift = 0;           // bound on the relative error of the kept blocks due to downdates
-  double measured_drift = 0;  // largest found in the blocks that were looked at
-  bool refreshed = false;     // recursion because the drift grew too large
-};
 
 template <class Pose>
 class IncrementalMarginals final : public PoseMarginals<Pose> {
@@ -66,12 +35,18 @@ class IncrementalMarginals final : public PoseMarginals<Pose> {
   // Cov(d_i, d_newest) for every pose index i.
   std::vector<Jacobian> NewestColumn(const CovarianceConvention& convention = {}) const;
 
-  // Bytes of the cache now, never more than CovarianceOptions::cache_bytes; and of the blocks that Update keeps.
+  // All diagonal blocks as kept, without a copy: by pose index, until the next Update. Throws std::logic_error if the
+  // solver changed since the last Update.
+  const std::vector<Jacobian>& KeptMarginals() const;
+
+  // Bytes of the cache now, at most CovarianceOptions::cache_bytes between queries; and of what Update keeps: two
+  // blocks per pose, and as many right-hand sides per pose as downdates took at once.
   std::size_t CacheBytes() const;
   std::size_t KeptBytes() const;
 
  private:
-  struct Kept;
+  struct State;
+  PoseId NewestId() const;
   int IndexOf(PoseId id) const override { return solver_->Graph().IndexOf(id); }
   Pose ValueAt(int index) const override { return solver_->EstimateAt(index); }
   const BlockCholesky<Pose::kDof>& FactorOfAll() const override { return solver_->Factor(); }
@@ -81,7 +56,7 @@ class IncrementalMarginals final : public PoseMarginals<Pose> {
 
   const IncrementalSolver<Pose>* solver_;
   CovarianceOptions options_;
-  std::unique_ptr<Kept> kept_;
+  std::unique_ptr<State> state_;
 };
 
 extern template class IncrementalMarginals<SE2>;

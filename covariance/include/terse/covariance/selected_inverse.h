@@ -19,11 +19,9 @@
 #include <vector>
 
 #include "terse/core/block_cholesky.h"
+#include "terse/covariance/covariance_options.h"
 
 namespace terse {
-
-// kSolve: forward substitution along the paths, for each variable on its own. kRecursion: lazily, on the paths.
-enum class DiagonalMethod { kCheapest, kSolve, kRecursion };
 
 template <int B>
 class SelectedInverse {

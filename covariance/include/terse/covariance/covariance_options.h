@@ -1,0 +1,44 @@
+#pragma once
+// How the covariances of a growing map are kept up to date, and what an update reports.
+
+#include <cstddef>
+
+namespace terse {
+
+// How the kept blocks came up to date (Ila et al., IJRR 2017, section 3.4).
+enum class CovariancePath {
+  kNone,        // nothing had changed
+  kPropagated,  // appended poses: no older block changes, new ones follow by composition
+  kDowndated,   // Woodbury: factors that came or went at fixed linearisation points, or few new points (Eqs. 14-15)
+  kRecursion,   // all blocks anew from the factor (Eqs. 9-13)
+};
+const char* Name(CovariancePath path);
+
+// Where few diagonal blocks come from that are not kept. kSolve: forward substitution for each. kRecursion: the fronts
+// on their paths, as far as these are stale.
+enum class DiagonalMethod { kCheapest, kSolve, kRecursion };
+
+struct CovarianceOptions {
+  // kCheapest: by a cost model. The others where they can, for tests and benchmarks.
+  enum class Method { kCheapest, kDowndate, kRecursion };
+  Method method = Method::kCheapest;
+  DiagonalMethod diagonal_method = DiagonalMethod::kCheapest;
+  // Of the fronts' blocks that queries leave for later ones. The least recently used go first.
+  std::size_t cache_bytes = std::size_t{256} << 20;
+  // Relative error that repeated downdates may leave in a kept block before all are computed anew.
+  double max_drift = 1e-9;
+};
+
+struct CovarianceReport {
+  CovariancePath path = CovariancePath::kNone;
+  int columns = 0;   // of H^-1 that were solved for
+  double flops = 0;  // multiplications and additions
+  double seconds = 0;
+  double downdate_cost = 0;  // what the cost model expected, in flops of the recursion; 0: was not possible
+  double recursion_cost = 0;
+  double drift = 0;           // bound on the relative error of the kept blocks due to downdates
+  double measured_drift = 0;  // the largest found where the factor was asked again
+  bool refreshed = false;     // recursion because the drift grew too large
+};
+
+}  // namespace terse

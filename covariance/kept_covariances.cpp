@@ -1,0 +1,317 @@
+#include "kept_covariances.h"
+
+#include <Eigen/Dense>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+
+#include "terse/covariance/covariance_blocks.h"
+
+namespace terse {
+
+const char* Name(CovariancePath path) {
+  switch (path) {
+    case CovariancePath::kNone: return "none";
+    case CovariancePath::kPropagated: return "propagated";
+    case CovariancePath::kDowndated: return "downdated";
+    case CovariancePath::kRecursion: return "recursion";
+  }
+  return "";
+}
+
+namespace internal {
+namespace {
+
+// Measured: so many flops of the recursion's products take as long as a flop of substitution with few right-hand
+// sides, and of the products with single variables' blocks.
+constexpr double kSubstitutionFlop = 2, kBlockFlop = 4;
+// Relative error of a block that is computed, and of C Y, which is a difference of such. Tests compare with what is
+// found.
+constexpr double kRounding = 1e-14, kCoreRounding = 1e-14;
+// Downdates after which a block is compared with the factor.
+constexpr long kSampled = 16;
+
+template <int B>
+using RowBlock = Eigen::Map<Eigen::Matrix<double, B, Eigen::Dynamic, Eigen::RowMajor>, 0, Eigen::OuterStride<>>;
+
+template <int B>
+RowBlock<B> RowsOf(std::vector<double>& X, int variable, int columns, int stride) {
+  return RowBlock<B>(X.data() + At(variable) * B * At(stride), B, columns, Eigen::OuterStride<>(stride));
+}
+
+struct TreeCosts {
+  double recursion = 0, entries = 0;
+};
+
+template <int B>
+TreeCosts CostsOf(const BlockCholesky<B>& factor) {
+  TreeCosts costs;
+  std::vector<int> stack(factor.Roots());
+  while (!stack.empty()) {
+    const auto& front = factor.FrontAt(stack.back());
+    stack.pop_back();
+    const double p = front.Columns(), rows = front.Rows() - 1;
+    costs.recursion += RecursionFlops<B>(front);
+    costs.entries += p * (rows - p / 2);
+    stack.insert(stack.end(), front.children.begin(), front.children.end());
+  }
+  return costs;
+}
+
+template <int B>
+bool IsInvertible(const Matrix<B, B>& A) {
+  const Eigen::FullPivLU<Matrix<B, B>> lu(A);
+  return lu.rcond() > 1e-8;
+}
+
+}  // namespace
+
+// What can be had without the recursion: every new variable by the factor that joins it to an older one, all other
+// changes as a downdate.
+template <int B>
+typename KeptCovariances<B>::Plan KeptCovariances<B>::MakePlan(const Changes& changes) const {
+  Plan plan;
+  const int old = static_cast<int>(diagonals_.size()), all = factor_->Variables();
+  plan.joining.resize(At(all - old));
+  std::vector<char> is_joining(changes.size(), 0);
+  std::vector<int> joining(plan.joining.size(), -1);
+  for (size_t k = 0; k < changes.size(); ++k) {
+    const LinearFactor<B>& f = factor_->FactorAt(changes[k].slot);
+    const int newest = std::max(f.first, f.second);
+    if (f.first < 0 || f.second < 0 || newest < old || changes[k].before.first >= 0) continue;
+    int& known = joining[At(newest - old)];
+    // The one from the variable before, whose column is at hand.
+    const bool better = known < 0 || std::min(f.first, f.second) == newest - 1;
+    if (better && IsInvertible<B>(newest == f.first ? f.A_first : f.A_second)) known = static_cast<int>(k);
+  }
+  int newest = old - 1;  // whose column is at hand
+  for (size_t k = 0; k < joining.size(); ++k) {
+    if (joining[k] < 0) return plan;
+    is_joining[At(joining[k])] = 1;
+    plan.joining[k] = factor_->FactorAt(changes[At(joining[k])].slot);
+    if (std::min(plan.joining[k].first, plan.joining[k].second) != newest++) plan.solve_column = true;
+  }
+  for (size_t k = 0; k < changes.size(); ++k) {
+    if (is_joining[k] != 0) continue;
+    const LinearFactor<B>& after = factor_->FactorAt(changes[k].slot);
+    if (after.first >= 0) plan.changes.push_back({after, 1});
+    if (changes[k].before.first >= 0) plan.changes.push_back({changes[k].before, -1});
+  }
+  plan.possible = true;
+  return plan;
+}
+
+// A variable that one factor joins to what is known: no older block changes.
+template <int B>
+void KeptCovariances<B>::Propagate(const Plan& plan) {
+  for (const LinearFactor<B>& f : plan.joining) {
+    const int n = static_cast<int>(diagonals_.size()), j = std::min(f.first, f.second);
+    const Matrix<B, B>& A_n = f.first == n ? f.A_first : f.A_second;
+    const Matrix<B, B>& A_j = f.first == n ? f.A_second : f.A_first;
+    const Matrix<B, B> inverse = A_n.inverse(), F = -inverse * A_j;
+    const Matrix<B, B> Sigma = F * diagonals_[At(j)] * F.transpose() + inverse * inverse.transpose();
+    drift_.push_back(drift_[At(j)] + static_cast<float>(kRounding));
+    if (!plan.solve_column) {
+      // Sigma_.n = Sigma_.j F'.
+      Eigen::Matrix<double, B, kStride, Eigen::RowMajor> negative = Eigen::Matrix<double, B, kStride>::Zero();
+      negative.template leftCols<B>() = -F.transpose();
+      X_.assign(column_.size(), 0.0);
+      Kernels().subtract_rows(X_.data(), kStride, column_.data(), kStride, negative.data(), kStride, B * n, B, kStride);
+      column_.swap(X_);
+      column_.resize(At(n + 1) * B * kStride, 0.0);
+      RowsOf<B>(column_, n, B, kStride) = Sigma;
+    }
+    diagonals_.push_back((Sigma + Sigma.transpose()) / 2);
+  }
+}
+
+// (S - C Y)^-1. For a single factor on the last variable all of I + C Sigma_old C', its equal, is known: a large
+// gain of information costs that no digits.
+template <int B>
+MatrixX KeptCovariances<B>::CoreOf(const std::vector<Change>& changes, const MatrixX& CY) const {
+  const int last = static_cast<int>(diagonals_.size()) - 1;
+  const LinearFactor<B>& f = changes.front().factor;
+  if (changes.size() == 1 && changes.front().sign > 0 && (f.second < 0 || f.first == last || f.second == last)) {
+    Matrix<B, B> U = Matrix<B, B>::Identity() + f.A_first * diagonals_[At(f.first)] * f.A_first.transpose();
+    if (f.second >= 0) {
+      const Matrix<B, B> cross = f.second == last ? Column(f.first) : Matrix<B, B>(Column(f.second).transpose());
+      const Matrix<B, B> product = f.A_first * cross * f.A_second.transpose();
+      U += product + product.transpose() + f.A_second * diagonals_[At(f.second)] * f.A_second.transpose();
+    }
+    return U;
+  }
+  MatrixX core = -CY;
+  for (size_t a = 0; a < changes.size(); ++a) {
+    core.diagonal().segment<B>(static_cast<Eigen::Index>(a) * B).array() += changes[a].sign;
+  }
+  const Eigen::PartialPivLU<MatrixX> lu(core);
+  if (!(lu.rcond() > 1e-12)) return MatrixX();
+  return lu.inverse();
+}
+
+// False if the numbers do not allow it: then the kept blocks are spoilt.
+template <int B>
+bool KeptCovariances<B>::Downdate(const Plan& plan, CovarianceReport& report) {
+  const int n = factor_->Variables(), last = n - 1;
+  const int k = B * static_cast<int>(plan.changes.size()), columns = k + (plan.solve_column ? B : 0);
+  const int stride = Stride(columns);
+  std::vector<RightHandSide<B>> E;
+  for (size_t a = 0; a < plan.changes.size(); ++a) {
+    const LinearFactor<B>& f = plan.changes[a].factor;
+    const int column = B * static_cast<int>(a);
+    E.push_back({f.first, column, f.A_first.transpose()});
+    if (f.second >= 0) E.push_back({f.second, column, f.A_second.transpose()});
+  }
+  if (plan.solve_column) E.push_back({last, k, Matrix<B, B>::Identity()});
+  SolveAll(*factor_, E, X_, stride);
+  report.columns = columns;
+  const auto Y = [&](int v) { return RowsOf<B>(X_, v, k, stride); };
+  if (plan.solve_column) {
+    column_.resize(At(n) * B * kStride);
+    for (int r = 0; r < B * n; ++r) {
+      std::copy_n(X_.data() + At(r) * At(stride) + At(k), B, column_.data() + At(r) * kStride);
+      std::fill_n(X_.data() + At(r) * At(stride) + At(k), B, 0.0);
+    }
+  }
+  if (k == 0) return true;
+  MatrixX CY(k, k);
+  for (size_t a = 0; a < plan.changes.size(); ++a) {
+    const LinearFactor<B>& f = plan.changes[a].factor;
+    auto rows = CY.middleRows<B>(static_cast<Eigen::Index>(a) * B);
+    rows.noalias() = f.A_first * Y(f.first);
+    if (f.second >= 0) rows.noalias() += f.A_second * Y(f.second);
+  }
+  const MatrixX core = CoreOf(plan.changes, CY);
+  if (core.size() == 0 || !core.allFinite()) return false;
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  RowMajor M = RowMajor::Zero(stride, stride);
+  M.topLeftCorner(k, k) = (core + core.transpose()) / 2;
+  if (!plan.solve_column) {
+    // Sigma_.n -= Y M Y_n'.
+    RowMajor T = RowMajor::Zero(k, kStride);
+    T.leftCols<B>().noalias() = M.topLeftCorner(k, k) * Y(last).transpose();
+    Kernels().subtract_rows(column_.data(), kStride, X_.data(), stride, T.data(), kStride, B * n, k, kStride);
+  }
+  traces_.resize(At(n));
+  for (int v = 0; v < n; ++v) traces_[At(v)] = diagonals_[At(v)].trace();
+  Kernels().subtract_congruences(diagonals_.front().data(), X_.data(), stride, M.data(), n, B, k);
+  const double core_error = plan.changes.size() == 1 ? kRounding : kCoreRounding * M.cwiseAbs().maxCoeff();
+  double drift = 0;
+  bool is_positive = true;
+  for (int v = 0; v < n; ++v) {
+    const double shrunk = traces_[At(v)] / diagonals_[At(v)].trace();
+    is_positive &= shrunk > 0 && shrunk < 1e12;
+    const double bound = (drift_[At(v)] + kRounding) * shrunk + core_error * std::abs(shrunk - 1);
+    drift_[At(v)] = static_cast<float>(bound);
+    drift = std::max(drift, bound);
+  }
+  report.drift = drift;
+  ++downdates_;
+  return is_positive;
+}
+
+// Kept blocks against the factor, relative: those of the changed factors as far as they are in Y, and one that takes
+// its turn.
+template <int B>
+double KeptCovariances<B>::DriftOf(const std::vector<Change>& changes) const {
+  const int n = factor_->Variables(), last = n - 1;
+  double drift = 0;
+  const int k = B * static_cast<int>(changes.size()), stride = Stride(k);
+  for (size_t a = 0; a < changes.size() && X_.size() >= At(n) * B * At(stride); ++a) {
+    const LinearFactor<B>& f = changes[a].factor;
+    if (f.first != last && f.second != last) continue;
+    const Matrix<B, B> own = diagonals_[At(last)] * (f.first == last ? f.A_first : f.A_second).transpose();
+    Matrix<B, B> expected = own;
+    const int other = f.first == last ? f.second : f.first;
+    if (other >= 0) {
+      expected += Column(other).transpose() * (f.first == last ? f.A_second : f.A_first).transpose();
+    }
+    Matrix<B, B> found;
+    for (int r = 0; r < B; ++r) {
+      for (int c = 0; c < B; ++c) found(r, c) = X_[(At(last) * B + At(r)) * At(stride) + a * B + At(c)];
+    }
+    drift = std::max(drift, (expected - found).norm() / own.norm());
+  }
+  if (downdates_ % kSampled == 0) {
+    // Steps of the golden ratio: spread evenly over the variables however their number grows.
+    const double turn = 0.6180339887498949 * static_cast<double>(downdates_ / kSampled);
+    const int v = std::min(last, static_cast<int>((turn - std::floor(turn)) * n));
+    const MatrixX fresh = JointCovariance(*factor_, {v});
+    drift = std::max(drift, (diagonals_[At(v)] - fresh).norm() / fresh.norm());
+  }
+  return drift;
+}
+
+template <int B>
+void KeptCovariances<B>::Recursion(CovarianceReport& report) {
+  const int n = factor_->Variables();
+  ComputeAllDiagonals(*factor_, diagonals_, recursion_);
+  SolveAll(*factor_, {{n - 1, 0, Matrix<B, B>::Identity()}}, X_, kStride);
+  column_.assign(X_.begin(), X_.begin() + long{n} * B * kStride);
+  drift_.assign(At(n), static_cast<float>(kRounding));
+  report.path = CovariancePath::kRecursion;
+  report.columns = B;
+  report.drift = kRounding;
+}
+
+template <int B>
+CovarianceReport KeptCovariances<B>::Update() {
+  const auto start = std::chrono::steady_clock::now();
+  if (factor_->Variables() == 0) throw std::invalid_argument("there is no pose yet");
+  CovarianceReport report;
+  if (IsCurrent()) return report;
+  const bool same_factor = identity_ == factor_->Identity() && !diagonals_.empty();
+  const auto changes = same_factor ? factor_->ChangesSince(version_) : std::nullopt;
+  version_ = 0;  // until all is done
+  const double n = factor_->Variables();
+  const TreeCosts tree = CostsOf(*factor_);
+  report.recursion_cost = tree.recursion + kSubstitutionFlop * 2 * B * tree.entries;
+  Plan plan;
+  if (changes && options_.method != CovarianceOptions::Method::kRecursion) plan = MakePlan(*changes);
+  bool done = false;
+  if (plan.possible) {
+    const double k = B * static_cast<double>(plan.changes.size()), columns = k + (plan.solve_column ? B : 0);
+    const double substitution = 2 * tree.entries * columns, blocks = 2 * n * B * k * (k + 2 * B) + 2 * n * B * B * B;
+    report.downdate_cost = kSubstitutionFlop * substitution + kBlockFlop * blocks;
+    if (report.downdate_cost < report.recursion_cost || options_.method == CovarianceOptions::Method::kDowndate) {
+      Propagate(plan);
+      report.path = plan.changes.empty() ? CovariancePath::kPropagated : CovariancePath::kDowndated;
+      report.flops = substitution + blocks;
+      done = columns == 0 || Downdate(plan, report);
+      if (done && report.path == CovariancePath::kDowndated) {
+        report.measured_drift = DriftOf(plan.changes);
+        report.refreshed = !(std::max(report.drift, report.measured_drift) <= options_.max_drift);
+      } else {
+        report.refreshed = !done;
+      }
+      done &= !report.refreshed;
+    }
+  }
+  if (!done) {
+    report.flops += tree.recursion + 2 * B * tree.entries;
+    Recursion(report);
+  }
+  identity_ = factor_->Identity();
+  version_ = factor_->Version();
+  report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  return report;
+}
+
+template <int B>
+Matrix<B, B> KeptCovariances<B>::Column(int variable) const {
+  using RowMajor = Eigen::Matrix<double, B, B, Eigen::RowMajor>;
+  return Eigen::Map<const RowMajor, 0, Eigen::OuterStride<>>(column_.data() + At(variable) * B * kStride,
+                                                             Eigen::OuterStride<>(kStride));
+}
+
+template <int B>
+std::size_t KeptCovariances<B>::Bytes() const {
+  return diagonals_.capacity() * sizeof(diagonals_[0]) + drift_.capacity() * sizeof(float) +
+         (column_.capacity() + X_.capacity() + traces_.capacity()) * sizeof(double);
+}
+
+template class KeptCovariances<3>;
+template class KeptCovariances<6>;
+
+}  // namespace internal
+}  // namespace terse

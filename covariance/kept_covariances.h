@@ -1,0 +1,70 @@
+#pragma once
+// All diagonal blocks of H^-1 and the block column of the last variable, kept up to date as the factor changes
+// (Ila et al., IJRR 2017, section 3.4).
+//
+// Appended variable n behind j, A_j d_j + A_n d_n = 0 on average with unit covariance: Sigma_.n = -Sigma_.j (A_n^-1
+// A_j)', no older block changes. Changed factors: with the rows C of what came (S = 1) and went (S = -1) and
+// Y = Sigma_new C' from the new factor,
+//   Sigma_new = Sigma_old - Y (S - C Y)^-1 Y',
+// which is Eq. 14 written with the new covariance. Else the recursion.
+//
+// The choice is made by flops times what a flop was measured to take, so that a run is repeatable.
+
+#include <cstdint>
+#include <vector>
+
+#include "front_covariance.h"
+#include "terse/core/block_cholesky.h"
+#include "terse/covariance/covariance_options.h"
+
+namespace terse::internal {
+
+template <int B>
+class KeptCovariances {
+ public:
+  KeptCovariances(const BlockCholesky<B>& factor, const CovarianceOptions& options)
+      : factor_(&factor), options_(options) {}
+
+  CovarianceReport Update();
+  bool IsCurrent() const { return version_ == factor_->Version() && identity_ == factor_->Identity(); }
+
+  const std::vector<Matrix<B, B>>& Diagonals() const { return diagonals_; }
+  // Sigma(variable, last).
+  Matrix<B, B> Column(int variable) const;
+  std::size_t Bytes() const;
+
+ private:
+  static constexpr int kStride = Stride(B);  // of column_
+  using Changes = std::vector<typename BlockCholesky<B>::SlotChange>;
+  // Rows that came or went: the difference between the old and the new H is C' S C.
+  struct Change {
+    LinearFactor<B> factor;
+    double sign;
+  };
+  struct Plan {
+    bool possible = false;
+    std::vector<LinearFactor<B>> joining;  // one per new variable
+    std::vector<Change> changes;           // all others
+    bool solve_column = false;
+  };
+  Plan MakePlan(const Changes& changes) const;
+  void Propagate(const Plan& plan);
+  bool Downdate(const Plan& plan, CovarianceReport& report);
+  void Recursion(CovarianceReport& report);
+  MatrixX CoreOf(const std::vector<Change>& changes, const MatrixX& CY) const;
+  double DriftOf(const std::vector<Change>& changes) const;
+
+  const BlockCholesky<B>* factor_;
+  CovarianceOptions options_;
+  std::uint64_t version_ = 0, identity_ = 0;
+  std::vector<Matrix<B, B>> diagonals_;
+  std::vector<double> column_;  // row-major, B rows of kStride per variable
+  std::vector<float> drift_;    // by variable: bound on the relative error
+  long downdates_ = 0;
+  // Scratch that stays allocated.
+  std::vector<double> X_;
+  std::vector<double> traces_;
+  RecursionScratch recursion_;
+};
+
+}  // namespace terse::internal

@@ -1,0 +1,329 @@
+// Covariances of a growing map against the dense inverse after every step, on every path.
+
+#include "terse/covariance/incremental_marginals.h"
+
+#include <gtest/gtest.h>
+
+#include <set>
+#include <thread>
+
+#include "testing_incremental.h"
+
+namespace terse {
+namespace {
+
+using testing::Exact;
+using testing::OnePosePerUpdate;
+using testing::Random;
+using testing::RelativeError;
+using Update = CovarianceOptions::Method;
+
+template <class Pose>
+class IncrementalMarginalsTest : public ::testing::Test {};
+using Groups = ::testing::Types<SE2, SE3>;
+TYPED_TEST_SUITE(IncrementalMarginalsTest, Groups);
+
+// The inverse by a refined dense Cholesky factorisation: the plain inverse itself is only good to about 1e-9 where the
+// anchor (1e8) meets informations of 10.
+template <class Pose>
+Eigen::MatrixXd DenseCovariance(const IncrementalSolver<Pose>& solver) {
+  const Eigen::MatrixXd H = testing::MakeDenseSystem(solver.Graph(), solver.LinearizationPoints()).H;
+  using Long = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
+  const Long inverse = H.cast<long double>().llt().solve(Long::Identity(H.rows(), H.cols()));
+  return inverse.cast<double>();
+}
+
+template <class Pose>
+struct Against {
+  static constexpr int B = Pose::kDof;
+  const IncrementalSolver<Pose>& solver;
+  Eigen::MatrixXd Sigma = DenseCovariance(solver);
+
+  auto Block(int i, int j) const { return Sigma.block<B, B>(i * B, j * B); }
+  // Cross-covariances are measured by the geometric mean of the marginals: their own norm may vanish.
+  double Scale(int i, int j) const { return std::sqrt(Block(i, i).norm() * Block(j, j).norm()); }
+
+  void ExpectEqual(const IncrementalMarginals<Pose>& marginals, double tolerance = 1e-9) const {
+    const int n = static_cast<int>(solver.Graph().Poses().size());
+    const auto all = marginals.AllMarginals();
+    const auto column = marginals.NewestColumn();
+    ASSERT_EQ(all.size(), static_cast<std::size_t>(n));
+    for (int i = 0; i < n; ++i) {
+      const auto& block = all[static_cast<std::size_t>(i)];
+      ASSERT_LT(RelativeError(block, Block(i, i)), tolerance) << "pose " << i << " of " << n;
+      ASSERT_EQ(block, block.transpose());
+      ASSERT_EQ(block.llt().info(), Eigen::Success);
+      ASSERT_LT((column[static_cast<std::size_t>(i)] - Block(i, n - 1)).norm(), tolerance * Scale(i, n - 1));
+    }
+    ASSERT_LT(RelativeError(marginals.Newest(), Block(n - 1, n - 1)), tolerance);
+  }
+};
+
+struct Mode {
+  const char* name;
+  CovarianceOptions options;
+  bool update;  // or everything by queries
+};
+
+std::vector<Mode> Modes() {
+  CovarianceOptions cheapest, downdate, recursion, solve, lazy, capped;
+  downdate.method = Update::kDowndate;
+  recursion.method = Update::kRecursion;
+  solve.diagonal_method = DiagonalMethod::kSolve;
+  lazy.diagonal_method = DiagonalMethod::kRecursion;
+  capped.diagonal_method = DiagonalMethod::kRecursion;
+  capped.cache_bytes = 5000;
+  return {{"cheapest", cheapest, true}, {"downdate", downdate, true}, {"recursion", recursion, true},
+          {"solve", solve, false},      {"lazy", lazy, false},        {"capped", capped, false}};
+}
+
+TYPED_TEST(IncrementalMarginalsTest, EqualTheDenseInverseAfterEveryStepOnEveryPath) {
+  std::map<std::string, std::set<CovariancePath>> seen;
+  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random rng(seed);
+    testing::RandomGraphOptions options;
+    options.poses = TypeParam::kDof == 3 ? 40 : 26;
+    options.loops_per_pose = seed % 2 == 0 ? 1.0 : 0.3;
+    options.noise = 0.05;
+    options.priors = seed % 3 == 0;
+    options.id_stride = 3;
+    const auto random = testing::MakeRandomGraph<TypeParam>(rng, options);
+    IncrementalOptions incremental = Exact();
+    incremental.relinearize_interval = 4;
+    IncrementalSolver<TypeParam> solver(incremental);
+    const std::vector<Mode> modes = Modes();
+    std::vector<std::unique_ptr<IncrementalMarginals<TypeParam>>> marginals;
+    for (const Mode& mode : modes) {
+      marginals.push_back(std::make_unique<IncrementalMarginals<TypeParam>>(solver, mode.options));
+    }
+    for (auto& update : OnePosePerUpdate(random.graph)) {
+      testing::MaybeRemove(rng, solver.Graph(), options.id_stride, update);
+      solver.Update(update);
+      const auto before = solver.Estimates();
+      const Against<TypeParam> dense{solver};
+      // A turn that only the weak anchor (1e-3) holds beside informations of 1000: the condition of H, not of the
+      // method, costs two digits more.
+      const AbsoluteFactors absolute = CountAbsoluteFactors(solver.Graph());
+      const bool turn_is_free =
+          absolute.pose_priors == 0 && absolute.position_priors > 0 && absolute.position_priors < TypeParam::kDim;
+      const double tolerance = turn_is_free ? 1e-7 : 1e-9;
+      for (std::size_t k = 0; k < modes.size(); ++k) {
+        SCOPED_TRACE(modes[k].name);
+        if (modes[k].update) seen[modes[k].name].insert(marginals[k]->Update().path);
+        dense.ExpectEqual(*marginals[k], tolerance);
+        if (this->HasFatalFailure()) return;
+        // Some that have been asked for before, and some twice.
+        std::vector<PoseId> ids;
+        std::vector<int> indices;
+        for (int draw = 0; draw < 5; ++draw) {
+          indices.push_back(static_cast<int>(rng() % solver.Graph().Poses().size()));
+          ids.push_back(solver.Graph().Poses()[static_cast<std::size_t>(indices.back())].id);
+        }
+        const auto some = marginals[k]->MarginalsOf(ids);
+        for (std::size_t i = 0; i < ids.size(); ++i) {
+          ASSERT_LT(RelativeError(some[i], dense.Block(indices[i], indices[i])), tolerance);
+        }
+        ASSERT_LE(marginals[k]->CacheBytes(), modes[k].options.cache_bytes);
+      }
+      const auto after = solver.Estimates();
+      for (std::size_t i = 0; i < before.size(); ++i) ASSERT_EQ(before[i].Local(after[i]).norm(), 0);
+    }
+  }
+  // Every way was gone.
+  EXPECT_EQ(seen["recursion"], std::set<CovariancePath>{CovariancePath::kRecursion});
+  EXPECT_EQ(seen["downdate"].count(CovariancePath::kPropagated), 1u);
+  EXPECT_EQ(seen["downdate"].count(CovariancePath::kDowndated), 1u);
+  EXPECT_EQ(seen["cheapest"].count(CovariancePath::kPropagated), 1u);
+  EXPECT_EQ(seen["cheapest"].count(CovariancePath::kDowndated), 1u);
+}
+
+// Updates that bring several poses, come without any, or are followed by Update only now and then.
+TYPED_TEST(IncrementalMarginalsTest, CatchUpAfterSeveralSteps) {
+  for (std::uint64_t seed = 11; seed <= 14; ++seed) {
+    Random rng(seed);
+    const auto random = testing::MakeRandomGraph<TypeParam>(rng, {TypeParam::kDof == 3 ? 50 : 30, 0.6, 0.05});
+    const auto updates = OnePosePerUpdate(random.graph);
+    IncrementalSolver<TypeParam> solver(Exact());
+    CovarianceOptions options;
+    options.method = Update::kDowndate;
+    IncrementalMarginals<TypeParam> marginals(solver, options);
+    for (std::size_t k = 0; k < updates.size();) {
+      GraphUpdate<TypeParam> update;
+      for (std::size_t many = 1 + rng() % 3; many > 0 && k < updates.size(); --many, ++k) {
+        update.poses.insert(update.poses.end(), updates[k].poses.begin(), updates[k].poses.end());
+        update.factors.insert(update.factors.end(), updates[k].factors.begin(), updates[k].factors.end());
+      }
+      solver.Update(update);
+      if (rng() % 3 == 0) continue;
+      EXPECT_THROW(marginals.KeptMarginals(), std::logic_error);
+      marginals.Update();
+      Against<TypeParam>{solver}.ExpectEqual(marginals);
+      if (this->HasFatalFailure()) return;
+      EXPECT_EQ(marginals.Update().path, CovariancePath::kNone);
+      EXPECT_EQ(marginals.KeptMarginals().size(), solver.Graph().Poses().size());
+    }
+  }
+}
+
+// The solver may move, finish or start anew under the same address.
+TYPED_TEST(IncrementalMarginalsTest, NoticeAnotherFactor) {
+  Random rng(41);
+  const auto random = testing::MakeRandomGraph<TypeParam>(rng, {20, 0.6, 0.05});
+  const auto other = testing::MakeRandomGraph<TypeParam>(rng, {20, 0.6, 0.05});
+  IncrementalSolver<TypeParam> solver(Exact()), second(Exact());
+  for (const auto& update : OnePosePerUpdate(other.graph)) second.Update(update);
+  for (const auto& update : OnePosePerUpdate(random.graph)) solver.Update(update);
+  CovarianceOptions lazy;
+  lazy.diagonal_method = DiagonalMethod::kRecursion;
+  IncrementalMarginals<TypeParam> kept(solver), queried(solver, lazy);
+  const auto expect_equal = [&] {
+    const Against<TypeParam> dense{solver};
+    dense.ExpectEqual(queried);
+    dense.ExpectEqual(kept);
+    kept.Update();
+    dense.ExpectEqual(kept);
+  };
+  expect_equal();
+  solver.Finish();
+  expect_equal();
+  solver = second;
+  expect_equal();
+}
+
+TYPED_TEST(IncrementalMarginalsTest, JointCrossAndRelativeEqualDense) {
+  constexpr int B = TypeParam::kDof;
+  Random rng(51);
+  const auto random = testing::MakeRandomGraph<TypeParam>(rng, {60, 0.4, 0.02});
+  IncrementalSolver<TypeParam> solver(Exact());
+  IncrementalMarginals<TypeParam> marginals(solver);
+  for (const auto& update : OnePosePerUpdate(random.graph)) solver.Update(update);
+  const Against<TypeParam> dense{solver};
+  const auto& poses = solver.Graph().Poses();
+  for (int size = 2; size <= 20; size += 3) {
+    std::set<int> chosen;
+    while (static_cast<int>(chosen.size()) < size) chosen.insert(static_cast<int>(rng() % poses.size()));
+    std::vector<int> indices(chosen.begin(), chosen.end());
+    std::shuffle(indices.begin(), indices.end(), rng);
+    std::vector<PoseId> ids;
+    for (const int i : indices) ids.push_back(poses[static_cast<std::size_t>(i)].id);
+    const MatrixX joint = marginals.Joint(ids);
+    ASSERT_EQ(joint, joint.transpose());
+    ASSERT_EQ(joint.llt().info(), Eigen::Success);
+    const auto column = marginals.Column(ids.front(), ids);
+    for (int r = 0; r < size; ++r) {
+      const int i = indices[static_cast<std::size_t>(r)];
+      ASSERT_LT((column[static_cast<std::size_t>(r)] - dense.Block(i, indices[0])).norm(),
+                1e-9 * dense.Scale(i, indices[0]));
+      for (int c = 0; c < size; ++c) {
+        const int j = indices[static_cast<std::size_t>(c)];
+        const Matrix<B, B> block = joint.block<B, B>(r * B, c * B);
+        ASSERT_LT((block - dense.Block(i, j)).norm(), 1e-9 * dense.Scale(i, j));
+      }
+    }
+    const TypeParam T = solver.Estimate(ids[0]).Inverse() * solver.Estimate(ids[1]);
+    const auto expected =
+        RelativeCovariance<TypeParam>(T, dense.Block(indices[0], indices[0]), dense.Block(indices[0], indices[1]),
+                                      dense.Block(indices[1], indices[1]));
+    ASSERT_LT((marginals.Relative(ids[0], ids[1]) - expected).norm(), 1e-9 * dense.Scale(indices[0], indices[1]));
+    const auto world = marginals.Relative(ids[0], ids[1], {CovarianceFrame::kWorld, TangentOrder::kTranslationFirst});
+    const typename TypeParam::Jacobian Ad = T.Adjoint();
+    ASSERT_LT(RelativeError(world, Ad * expected * Ad.transpose()), 1e-7);
+  }
+}
+
+// Loops that take nearly all uncertainty away make earlier rounding errors large beside what is left: the bound has to
+// notice, and the blocks stay right.
+TYPED_TEST(IncrementalMarginalsTest, DriftIsBoundedAndRefreshed) {
+  constexpr int B = TypeParam::kDof;
+  int refreshed = 0;
+  for (std::uint64_t seed = 61; seed <= 63; ++seed) {
+    Random rng(seed);
+    IncrementalSolver<TypeParam> solver(Exact());
+    CovarianceOptions options;
+    options.method = Update::kDowndate;
+    options.max_drift = 1e-11;
+    IncrementalMarginals<TypeParam> marginals(solver, options);
+    TypeParam truth;
+    GraphUpdate<TypeParam> first;
+    first.poses.push_back({PoseId{0}, truth});
+    solver.Update(first);
+    typename TypeParam::Jacobian information = TypeParam::Jacobian::Identity();
+    std::vector<TypeParam> truths = {truth};
+    for (int k = 1; k <= 40; ++k) {
+      const TypeParam step = testing::RandomMotion<TypeParam>(rng, 1, 0.3);
+      truths.push_back(truths.back() * step);
+      GraphUpdate<TypeParam> update;
+      update.poses.push_back({PoseId{k}});
+      update.factors.push_back(RelativePoseFactor<TypeParam>{PoseId{k - 1}, PoseId{k}, step, information});
+      // Weak odometry, then very strong loops.
+      if (k % 10 == 0) {
+        const int to = k - 10;
+        update.factors.push_back(RelativePoseFactor<TypeParam>{
+            PoseId{to}, PoseId{k}, truths[static_cast<std::size_t>(to)].Inverse() * truths.back(), 1e7 * information});
+      }
+      solver.Update(update);
+      const auto report = marginals.Update();
+      refreshed += report.refreshed ? 1 : 0;
+      if (report.path == CovariancePath::kDowndated) {
+        EXPECT_GT(report.drift, 0);
+        EXPECT_LE(std::max(report.drift, report.measured_drift), options.max_drift);
+      }
+      const Against<TypeParam> dense{solver};
+      const auto all = marginals.AllMarginals();
+      for (int i = 0; i <= k; ++i) {
+        // 1e-9 beside the condition of H, 1e7.
+        ASSERT_LT((all[static_cast<std::size_t>(i)] - dense.Block(i, i)).norm(), 1e-8 * dense.Block(i, i).norm());
+      }
+    }
+  }
+  EXPECT_GT(refreshed, 0);
+  static_assert(B > 0);
+}
+
+TYPED_TEST(IncrementalMarginalsTest, ConcurrentQueriesAgree) {
+  Random rng(71);
+  const auto random = testing::MakeRandomGraph<TypeParam>(rng, {80, 0.4, 0.02});
+  IncrementalSolver<TypeParam> solver(Exact());
+  CovarianceOptions options;
+  options.diagonal_method = DiagonalMethod::kRecursion;
+  options.cache_bytes = 20000;  // so that the threads throw out each other's blocks
+  const IncrementalMarginals<TypeParam> marginals(solver, options);
+  for (const auto& update : OnePosePerUpdate(random.graph)) solver.Update(update);
+  const auto& poses = solver.Graph().Poses();
+  const auto all = marginals.AllMarginals();
+  const MatrixX joint = marginals.Joint({poses[3].id, poses[50].id});
+  std::vector<std::thread> threads;
+  std::vector<int> wrong(4, 0);
+  for (int t = 0; t < 4; ++t) {
+    threads.emplace_back([&, t] {
+      for (std::size_t k = 0; k < 200; ++k) {
+        const std::size_t i = (k * 7 + static_cast<std::size_t>(t) * 13) % poses.size();
+        if (RelativeError(marginals.Marginal(poses[i].id), all[i]) > 1e-9) ++wrong[static_cast<std::size_t>(t)];
+        if (marginals.Joint({poses[3].id, poses[50].id}) != joint) ++wrong[static_cast<std::size_t>(t)];
+      }
+    });
+  }
+  for (auto& thread : threads) thread.join();
+  EXPECT_EQ(wrong, std::vector<int>(4, 0));
+}
+
+TYPED_TEST(IncrementalMarginalsTest, Refuses) {
+  IncrementalSolver<TypeParam> solver;
+  IncrementalMarginals<TypeParam> marginals(solver);
+  EXPECT_THROW(marginals.Update(), std::invalid_argument);
+  EXPECT_THROW(marginals.Newest(), std::invalid_argument);
+  EXPECT_THROW(marginals.NewestColumn(), std::invalid_argument);
+  EXPECT_TRUE(marginals.AllMarginals().empty());
+  GraphUpdate<TypeParam> update;
+  update.poses.push_back({PoseId{7}});
+  solver.Update(update);
+  EXPECT_THROW(marginals.Marginal(PoseId{8}), std::invalid_argument);
+  EXPECT_THROW(marginals.Joint({PoseId{7}, PoseId{8}}), std::invalid_argument);
+  EXPECT_THROW(marginals.Relative(PoseId{7}, PoseId{7}), std::invalid_argument);
+  EXPECT_NO_THROW(marginals.Update());
+  EXPECT_TRUE(marginals.Newest().allFinite());
+}
+
+}  // namespace
+}  // namespace terse
