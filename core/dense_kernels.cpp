@@ -9,16 +9,18 @@ namespace terse::internal {
                        int depth);                                                                                   \
   void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);                     \
   void BackSubstitute(const double* panel, int rows, int pivots, double* x);                                         \
-  void SubtractRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows,           \
-                         int columns, int depth);                                                                    \
+  void AddRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,   \
+                    int depth);                                                                                      \
+  void SetRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,   \
+                    int depth);                                                                                      \
   void SubstituteForward(const double* panel, int ld, int rows, int pivots, double* x, int stride);                  \
   void SubstituteBackward(const double* panel, int ld, int rows, int pivots, double* x, int stride);                 \
   void SubtractRows(double* y, int ldy, const double* x, int ldx, const double* t, int ldt, int rows, int depth,     \
                     int width);                                                                                      \
   void SubtractCongruences(double* s, const double* y, int stride, const double* m, int count, int size, int depth); \
-  constexpr DenseKernels kKernels = {#set,           FactorPanel,        SubtractProduct,   RankUpdate,              \
-                                     BackSubstitute, SubtractRectangle,  SubstituteForward, SubstituteBackward,      \
-                                     SubtractRows,   SubtractCongruences};                                           \
+  constexpr DenseKernels kKernels = {                                                                                \
+      #set,         FactorPanel,       SubtractProduct,    RankUpdate,   BackSubstitute,     AddRectangle,           \
+      SetRectangle, SubstituteForward, SubstituteBackward, SubtractRows, SubtractCongruences};                       \
   }
 TERSE_DECLARE_KERNELS(baseline)
 #ifdef TERSE_X86_KERNELS

@@ -24,9 +24,12 @@ struct DenseKernels {
 
   // For covariances. Several right-hand sides side by side: x row-major with `stride` columns, a multiple of kLanes.
   //
-  // C (rows x columns) -= A B', A rows x depth, B columns x depth.
-  void (*subtract_rectangle)(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows,
-                             int columns, int depth);
+  // C (rows x columns) += A B', A rows x depth, B columns x depth.
+  void (*add_rectangle)(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,
+                        int depth);
+  // C = A B'; depth at least one.
+  void (*set_rectangle)(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,
+                        int depth);
   // With L = [L_PP; L_RP] (rows x pivots, leading dimension ld): x_P = L_PP^-1 x_P, x_R -= L_RP x_P.
   void (*substitute_forward)(const double* panel, int ld, int rows, int pivots, double* x, int stride);
   // x_P = L_PP^-T (x_P - L_RP' x_R).

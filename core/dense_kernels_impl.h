@@ -20,9 +20,12 @@ typedef double Vector __attribute__((vector_size(kWidth * sizeof(double)), align
 inline Vector Load(const double* p) { return *reinterpret_cast<const Vector*>(p); }
 inline void Store(double* p, Vector v) { *reinterpret_cast<Vector*>(p) = v; }
 
-// C (V vectors of rows x N columns) -= A B', A and B with `depth` columns. `keep` zeroes lanes of the last vector
-// that another tile has done.
-template <int V, int N>
+// What becomes of C.
+enum class Into { kSubtract, kSet, kAdd };
+
+// C (V vectors of rows x N columns) -=, = or += A B', A and B with `depth` columns. `keep` is zero in the lanes of the
+// last vector that another tile has done.
+template <int V, int N, Into kInto>
 inline void Tile(double* c, long ldc, const double* a, long lda, const double* b, long ldb, int depth,
                  const Vector* keep) {
   Vector sum[N][V] = {};
@@ -36,44 +39,59 @@ inline void Tile(double* c, long ldc, const double* a, long lda, const double* b
     b += ldb;
   }
   for (int j = 0; j < N; ++j) {
-    if (keep != nullptr) sum[j][V - 1] *= *keep;
-    for (int v = 0; v < V; ++v) Store(c + j * ldc + v * kWidth, Load(c + j * ldc + v * kWidth) - sum[j][v]);
+    double* to = c + j * ldc;
+    if (keep != nullptr) {
+      if (kInto == Into::kSet) {
+        sum[j][V - 1] = *keep > 0 ? sum[j][V - 1] : Load(to + (V - 1) * kWidth);
+      } else {
+        sum[j][V - 1] *= *keep;
+      }
+    }
+    for (int v = 0; v < V; ++v) {
+      if (kInto == Into::kSet) {
+        Store(to + v * kWidth, sum[j][v]);
+      } else {
+        const Vector old = Load(to + v * kWidth);
+        Store(to + v * kWidth, kInto == Into::kAdd ? old + sum[j][v] : old - sum[j][v]);
+      }
+    }
   }
 }
 
 // One block of N columns, all rows.
-template <int N>
+template <int N, Into kInto>
 void Columns(double* c, long ldc, const double* a, long lda, const double* b, long ldb, int rows, int depth) {
   int i = 0;
   for (; i + kTileVectors * kWidth <= rows; i += kTileVectors * kWidth) {
-    Tile<kTileVectors, N>(c + i, ldc, a + i, lda, b, ldb, depth, nullptr);
+    Tile<kTileVectors, N, kInto>(c + i, ldc, a + i, lda, b, ldb, depth, nullptr);
   }
-  for (; i + kWidth <= rows; i += kWidth) Tile<1, N>(c + i, ldc, a + i, lda, b, ldb, depth, nullptr);
+  for (; i + kWidth <= rows; i += kWidth) Tile<1, N, kInto>(c + i, ldc, a + i, lda, b, ldb, depth, nullptr);
   if (i == rows) return;
   if (rows >= kWidth) {
     // The last rows together with some that are done, whose lanes are cleared.
     Vector keep = {};
     for (int lane = 0; lane < kWidth; ++lane) keep[lane] = lane >= kWidth - (rows - i) ? 1.0 : 0.0;
     i = rows - kWidth;
-    Tile<1, N>(c + i, ldc, a + i, lda, b, ldb, depth, &keep);
+    Tile<1, N, kInto>(c + i, ldc, a + i, lda, b, ldb, depth, &keep);
     return;
   }
   for (; i < rows; ++i) {
     for (int j = 0; j < N; ++j) {
       double sum = 0;
       for (int k = 0; k < depth; ++k) sum += a[i + k * lda] * b[j + k * ldb];
-      c[i + j * ldc] -= sum;
+      double& to = c[i + j * ldc];
+      to = kInto == Into::kSet ? sum : kInto == Into::kAdd ? to + sum : to - sum;
     }
   }
 }
 
-template <int N>
+template <int N, Into kInto>
 void ColumnsOf(int count, double* c, long ldc, const double* a, long lda, const double* b, long ldb, int rows,
                int depth) {
   if (count == N) {
-    Columns<N>(c, ldc, a, lda, b, ldb, rows, depth);
+    Columns<N, kInto>(c, ldc, a, lda, b, ldb, rows, depth);
   } else if constexpr (N > 1) {
-    ColumnsOf<N - 1>(count, c, ldc, a, lda, b, ldb, rows, depth);
+    ColumnsOf<N - 1, kInto>(count, c, ldc, a, lda, b, ldb, rows, depth);
   }
 }
 
@@ -84,7 +102,21 @@ void SubtractLower(double* c, long ldc, const double* a, const double* b, long l
     const int d = depth - k < kDepth ? depth - k : kDepth;
     for (int j = 0; j < columns; j += kTileColumns) {
       const int n = columns - j < kTileColumns ? columns - j : kTileColumns;
-      ColumnsOf<kTileColumns>(n, c + j * ldc + j, ldc, a + k * ld + j, ld, b + k * ld + j, ld, rows - j, d);
+      ColumnsOf<kTileColumns, Into::kSubtract>(n, c + j * ldc + j, ldc, a + k * ld + j, ld, b + k * ld + j, ld,
+                                               rows - j, d);
+    }
+  }
+}
+
+// C (rows x columns) op A B'. To set, depth must be at most kDepth.
+template <Into kInto>
+void Rectangle(double* c, long ldc, const double* a, long lda, const double* b, long ldb, int rows, int columns,
+               int depth) {
+  for (int k = 0; k < depth; k += kDepth) {
+    const int d = depth - k < kDepth ? depth - k : kDepth;
+    for (int j = 0; j < columns; j += kTileColumns) {
+      const int n = columns - j < kTileColumns ? columns - j : kTileColumns;
+      ColumnsOf<kTileColumns, kInto>(n, c + j * ldc, ldc, a + k * lda, lda, b + k * ldb + j, ldb, rows, d);
     }
   }
 }
@@ -406,16 +438,17 @@ inline void SubtractCongruence(double* s, const double* y, long stride, const do
 
 namespace TERSE_KERNEL_NAMESPACE {
 
-void SubtractRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,
-                       int depth) {
-  for (int k = 0; k < depth; k += kDepth) {
-    const int d = depth - k < kDepth ? depth - k : kDepth;
-    for (int j = 0; j < columns; j += kTileColumns) {
-      const int n = columns - j < kTileColumns ? columns - j : kTileColumns;
-      ColumnsOf<kTileColumns>(n, c + static_cast<long>(j) * ldc, ldc, a + static_cast<long>(k) * lda, lda,
-                              b + static_cast<long>(k) * ldb + j, ldb, rows, d);
-    }
-  }
+void AddRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,
+                  int depth) {
+  Rectangle<Into::kAdd>(c, ldc, a, lda, b, ldb, rows, columns, depth);
+}
+
+void SetRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,
+                  int depth) {
+  const int first = depth < kDepth ? depth : kDepth;
+  Rectangle<Into::kSet>(c, ldc, a, lda, b, ldb, rows, columns, first);
+  Rectangle<Into::kAdd>(c, ldc, a + static_cast<long>(first) * lda, lda, b + static_cast<long>(first) * ldb, ldb, rows,
+                        columns, depth - first);
 }
 
 void SubstituteForward(const double* panel, int ld, int rows, int pivots, double* x, int stride) {

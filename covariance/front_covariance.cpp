@@ -9,37 +9,60 @@ constexpr int kSmall = 8;    // triangles that are inverted entry by entry
 constexpr int kChunk = 48;   // rows at a time where a triangle's zeros are left out
 constexpr int kCorner = 24;  // diagonal blocks are computed in squares of this many rows
 
-// -L^-T of the p x p lower triangle at `L` into V (p x p, column-major, upper; zero below), by blocks of columns.
-void NegativeInverseTransposed(const double* L, int ld, int p, std::vector<double>& V, std::vector<double>& scratch) {
-  V.assign(At(p) * At(p), 0.0);
-  scratch.resize(At(p) * kSmall);
-  double small[kSmall * kSmall] = {};
+// Room for what will be overwritten.
+void Reserve(std::vector<double>& v, std::size_t size) {
+  if (v.size() < size) v.resize(size);
+}
+
+// L^-T of the p x p lower triangle at `L` into V (p x p, column-major, upper; zero below), by blocks of columns.
+void InverseTransposed(const double* L, int ld, int p, std::vector<double>& V, std::vector<double>& scratch) {
+  Reserve(V, At(p) * At(p));
+  Reserve(scratch, At(p) * kSmall);
+  double W[kSmall * kSmall] = {};
   for (int i0 = 0; i0 < p; i0 += kSmall) {
     const int w = std::min(kSmall, p - i0);
     const auto l = [&](int r, int c) { return L[At(i0 + c) * At(ld) + At(i0 + r)]; };
-    // W = L_ii^-1, column-major w x w, lower.
-    std::fill_n(small, w * w, 0.0);
+    // W = L_ii^-1, w x w, lower.
     for (int c = 0; c < w; ++c) {
+      for (int r = 0; r < c; ++r) W[c * w + r] = 0;
       for (int r = c; r < w; ++r) {
         double sum = r == c ? 1 : 0;
-        for (int k = c; k < r; ++k) sum -= l(r, k) * small[c * w + k];
-        small[c * w + r] = sum / l(r, r);
+        for (int k = c; k < r; ++k) sum -= l(r, k) * W[c * w + k];
+        W[c * w + r] = sum / l(r, r);
       }
     }
     for (int c = 0; c < w; ++c) {
-      for (int r = 0; r <= c; ++r) V[At(i0 + c) * At(p) + At(i0 + r)] = -small[r * w + c];
+      double* column = V.data() + At(i0 + c) * At(p);
+      for (int r = 0; r < w; ++r) column[i0 + r] = W[r * w + c];
+      std::fill(column + i0 + w, column + p, 0.0);
     }
-    if (i0 == 0) continue;
-    // T = -V_above L_i', rows 0..i0; then V_i = -T W_i', both with V negative already.
-    std::fill_n(scratch.begin(), At(i0) * At(w), 0.0);
+    // Above: -V L_i' W'.
+    for (double& x : W) x = -x;
     for (int r0 = 0; r0 < i0; r0 += kChunk) {
       const int rows = std::min(kChunk, i0 - r0);
-      Kernels().subtract_rectangle(scratch.data() + r0, i0, V.data() + At(r0) * At(p) + At(r0), p,
-                                   L + At(r0) * At(ld) + At(i0), ld, rows, w, i0 - r0);
+      Kernels().set_rectangle(scratch.data() + r0, i0, V.data() + At(r0) * At(p) + At(r0), p,
+                              L + At(r0) * At(ld) + At(i0), ld, rows, w, i0 - r0);
     }
-    // T = (L^-T)_above L_i'; the new columns of -L^-T are T L_ii^-T = T W', W' upper.
-    for (double& x : small) x = -x;
-    Kernels().subtract_rectangle(V.data() + At(i0) * At(p), p, scratch.data(), i0, small, w, i0, w, w);
+    if (i0 > 0) Kernels().set_rectangle(V.data() + At(i0) * At(p), p, scratch.data(), i0, W, w, i0, w, w);
+  }
+}
+
+// Sigma_SS, in runs of variables that are neighbours in the parent too.
+template <int B>
+void CopySeparators(const double* parent, int ldp, const std::vector<int>& rows_in_parent, double* Sigma_SS, int ld) {
+  const int blocks = static_cast<int>(rows_in_parent.size());
+  for (int j = 0; j < blocks; ++j) {
+    const double* from = parent + At(rows_in_parent[At(j)]) * At(ldp);
+    double* to = Sigma_SS + At(j * B) * At(ld);
+    for (int i = 0; i < blocks;) {
+      const int row = rows_in_parent[At(i)];
+      int end = i + 1;
+      while (end < blocks && rows_in_parent[At(end)] == row + (end - i) * B) ++end;
+      for (int c = 0; c < B; ++c) {
+        std::copy_n(from + At(c) * At(ldp) + At(row), (end - i) * B, to + At(c) * At(ld) + At(i * B));
+      }
+      i = end;
+    }
   }
 }
 
@@ -52,59 +75,52 @@ void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const
   const DenseKernels& kernels = Kernels();
   const int ld = front.Rows(), p = front.Columns(), s = ld - 1 - p, n = p + s;
   const auto at = [n](int row, int column) { return At(column) * At(n) + At(row); };
-  NegativeInverseTransposed(front.panel.data(), ld, p, scratch.V, scratch.corner);
-  const std::vector<double>& V = scratch.V;
+  InverseTransposed(front.panel.data(), ld, p, scratch.V, scratch.corner);
+  const double* V = scratch.V.data();
   if (s > 0) {
-    // Sigma_SS, in runs of variables that are neighbours in the parent too.
-    const int blocks = static_cast<int>(rows_in_parent.size());
-    for (int j = 0; j < blocks; ++j) {
-      for (int i = 0; i < blocks;) {
-        int end = i + 1;
-        while (end < blocks && rows_in_parent[At(end)] == rows_in_parent[At(i)] + (end - i) * B) ++end;
-        for (int c = 0; c < B; ++c) {
-          std::copy_n(parent + At(rows_in_parent[At(j)] + c) * At(ldp) + At(rows_in_parent[At(i)]), (end - i) * B,
-                      Sigma + at(p + i * B, p + j * B + c));
-        }
-        i = end;
-      }
-    }
+    CopySeparators<B>(parent, ldp, rows_in_parent, Sigma + at(p, p), n);
+    Reserve(scratch.K, At(p) * At(s));
+    Reserve(scratch.M, At(p) * At(s));
     // K' = L_PP^-T L_SP' (p x s).
-    scratch.K.assign(At(p) * At(s), 0.0);
     for (int r0 = 0; r0 < p; r0 += kChunk) {
       const int rows = std::min(kChunk, p - r0);
-      kernels.subtract_rectangle(scratch.K.data() + r0, p, V.data() + At(r0) * At(p) + At(r0), p,
-                                 front.panel.data() + At(r0) * At(ld) + At(p), ld, rows, s, p - r0);
+      kernels.set_rectangle(scratch.K.data() + r0, p, V + At(r0) * At(p) + At(r0), p,
+                            front.panel.data() + At(r0) * At(ld) + At(p), ld, rows, s, p - r0);
     }
-    // Sigma_PS = -K' Sigma_SS.
-    scratch.M.assign(At(p) * At(s), 0.0);
-    kernels.subtract_rectangle(scratch.M.data(), p, scratch.K.data(), p, Sigma + at(p, p), n, p, s, s);
+    // -Sigma_PS = K' Sigma_SS.
+    kernels.set_rectangle(scratch.M.data(), p, scratch.K.data(), p, Sigma + at(p, p), n, p, s, s);
   }
-  // Sigma_PP = V V' - Sigma_PS K; rows r0.. of V begin at column r0. Squares on the diagonal are all that is needed
+  // Sigma_PP = V V' + K' Sigma_SS K; rows r0.. of V begin at column r0. Squares on the diagonal are all that is needed
   // if diagonal_only.
-  std::vector<double>& positive = scratch.corner;
-  positive.resize(At(p) * At(p));
-  for (size_t k = 0; k < positive.size(); ++k) positive[k] = -V[k];
   const int chunk = diagonal_only ? kCorner : kChunk;
   for (int r0 = 0; r0 < p; r0 += chunk) {
     const int rows = std::min(chunk, p - r0), c0 = diagonal_only ? r0 : 0, columns = r0 + rows - c0;
-    for (int c = c0; c < c0 + columns; ++c) std::fill_n(Sigma + at(r0, c), rows, 0.0);
-    kernels.subtract_rectangle(Sigma + at(r0, c0), n, V.data() + At(r0) * At(p) + At(r0), p,
-                               positive.data() + At(r0) * At(p) + At(c0), p, rows, columns, p - r0);
+    kernels.set_rectangle(Sigma + at(r0, c0), n, V + At(r0) * At(p) + At(r0), p, V + At(r0) * At(p) + At(c0), p, rows,
+                          columns, p - r0);
     if (s > 0) {
-      kernels.subtract_rectangle(Sigma + at(r0, c0), n, scratch.M.data() + r0, p, scratch.K.data() + c0, p, rows,
-                                 columns, s);
+      kernels.add_rectangle(Sigma + at(r0, c0), n, scratch.M.data() + r0, p, scratch.K.data() + c0, p, rows, columns,
+                            s);
     }
   }
   // The same to the last bit on both sides of the diagonal.
   for (int c = 0; c < p; ++c) {
-    const int end = diagonal_only ? std::min(p, (c / B + 1) * B) : p;
+    const int end = diagonal_only ? (c / B + 1) * B : p;
     for (int r = c + 1; r < end; ++r) Sigma[at(c, r)] = Sigma[at(r, c)];
   }
   if (diagonal_only) return;
   for (int j = 0; j < s; ++j) {
     const double* column = scratch.M.data() + At(j) * At(p);
-    std::copy_n(column, p, Sigma + at(0, p + j));
-    for (int i = 0; i < p; ++i) Sigma[at(p + j, i)] = column[i];
+    double* above = Sigma + at(0, p + j);
+    for (int i = 0; i < p; ++i) above[i] = -column[i];
+  }
+  // Its transpose, in squares that stay in the first-level cache.
+  constexpr int kSquare = 16;
+  for (int j0 = 0; j0 < s; j0 += kSquare) {
+    for (int i = 0; i < p; ++i) {
+      for (int j = j0; j < std::min(s, j0 + kSquare); ++j) {
+        Sigma[at(p + j, i)] = -scratch.M[At(j) * At(p) + At(i)];
+      }
+    }
   }
 }
 

@@ -133,11 +133,26 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
 
 template <int B>
 std::vector<Matrix<B, B>> SelectedInverse<B>::AllDiagonals() const {
+  // The buffers of an earlier call, if no other thread has them.
+  std::unique_ptr<internal::RecursionScratch> scratch;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    scratch.swap(scratch_);
+  }
+  if (!scratch) scratch = std::make_unique<internal::RecursionScratch>();
   std::vector<Matrix<B, B>> out;
-  internal::RecursionScratch scratch;
-  internal::ComputeAllDiagonals(*factor_, out, scratch);
+  internal::ComputeAllDiagonals(*factor_, out, *scratch);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  scratch.swap(scratch_);
   return out;
 }
+
+template <int B>
+SelectedInverse<B>::SelectedInverse(const BlockCholesky<B>& factor, std::size_t cache_bytes)
+    : factor_(&factor), capacity_(cache_bytes) {}
+
+template <int B>
+SelectedInverse<B>::~SelectedInverse() = default;
 
 template <int B>
 std::size_t SelectedInverse<B>::CacheBytes() const {

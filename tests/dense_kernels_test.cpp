@@ -192,10 +192,16 @@ TEST(DenseKernels, RectangularProduct) {
         for (const int depth : {1, 5, 24, 130}) {
           const Eigen::MatrixXd A = RandomMatrix(rng, rows + 2, depth), B = RandomMatrix(rng, columns + 1, depth);
           Eigen::MatrixXd C = RandomMatrix(rng, rows + 3, columns), expected = C;
-          expected.topRows(rows) -= A.topRows(rows) * B.topRows(columns).transpose();
-          kernels.subtract_rectangle(C.data(), rows + 3, A.data(), rows + 2, B.data(), columns + 1, rows, columns,
-                                     depth);
+          const Eigen::MatrixXd product = A.topRows(rows) * B.topRows(columns).transpose();
+          expected.topRows(rows) += product;
+          kernels.add_rectangle(C.data(), rows + 3, A.data(), rows + 2, B.data(), columns + 1, rows, columns, depth);
           ASSERT_LT((C - expected).cwiseAbs().maxCoeff(), 1e-12 * depth) << rows << ' ' << columns << ' ' << depth;
+          ASSERT_EQ(C.bottomRows(3), expected.bottomRows(3));
+          // What is set may have been anything.
+          C.topRows(rows).setConstant(std::numeric_limits<double>::quiet_NaN());
+          kernels.set_rectangle(C.data(), rows + 3, A.data(), rows + 2, B.data(), columns + 1, rows, columns, depth);
+          ASSERT_LT((C.topRows(rows) - product).cwiseAbs().maxCoeff(), 1e-12 * depth)
+              << rows << ' ' << columns << ' ' << depth;
           ASSERT_EQ(C.bottomRows(3), expected.bottomRows(3));
         }
       }

@@ -23,12 +23,16 @@
 
 namespace terse {
 
+namespace internal {
+struct RecursionScratch;
+}
+
 template <int B>
 class SelectedInverse {
  public:
   // Blocks of fronts that queries leave for later ones take at most so many bytes; the least recently used go first.
-  explicit SelectedInverse(const BlockCholesky<B>& factor, std::size_t cache_bytes = std::size_t{256} << 20)
-      : factor_(&factor), capacity_(cache_bytes) {}
+  explicit SelectedInverse(const BlockCholesky<B>& factor, std::size_t cache_bytes = std::size_t{256} << 20);
+  ~SelectedInverse();
 
   // Sigma_vv.
   Matrix<B, B> Diagonal(int variable) const { return Diagonals({variable}).front(); }
@@ -56,6 +60,7 @@ class SelectedInverse {
   mutable std::mutex mutex_;
   mutable std::map<int, BlockPointer> cache_;
   mutable std::size_t bytes_ = 0;
+  mutable std::unique_ptr<internal::RecursionScratch> scratch_;
   mutable std::uint64_t queries_ = 0, identity_ = 0;
 };
 
