@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "commands.h"
+#include "covariance_output.h"
 #include "policy.h"
 #include "progress.h"
 #include "report.h"
