@@ -127,7 +127,9 @@ TYPED_TEST(CovarianceCommand, MarginalsEqualTheDenseInverse) {
     }
     const auto one = this->Json("covariance in.g2o --quiet --json --ids 142" + choice.Options());
     EXPECT_TRUE(one.is_object()) << "of a single pose: no list";
-    EXPECT_EQ(one, some[0]);
+    EXPECT_EQ(one["ids"], some[0]["ids"]);
+    // What else is asked for may change the order of sums.
+    EXPECT_LT(RelativeError(ToMatrix(one["covariance"]), ToMatrix(some[0]["covariance"])), 1e-12);
   }
 }
 
