@@ -3,6 +3,7 @@
 #include <iostream>
 
 #include "commands.h"
+#include "covariance_output.h"
 #include "progress.h"
 #include "report.h"
 #include "terse/compact/thresholds.h"

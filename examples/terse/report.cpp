@@ -37,13 +37,6 @@ bool EndsWith(const std::string& text, const std::string& ending) {
   return text.size() >= ending.size() && text.compare(text.size() - ending.size(), ending.size(), ending) == 0;
 }
 
-template <class Pose>
-const char* const* TangentNames() {
-  static const char* const k2d[] = {"x", "y", "theta"};
-  static const char* const k3d[] = {"x", "y", "z", "rx", "ry", "rz"};
-  return Pose::kDim == 2 ? k2d : k3d;
-}
-
 }  // namespace
 
 void RequireWritable(const std::string& path) {
@@ -181,31 +174,9 @@ std::string FindTrajectoryPathDefect(const std::string& path) {
   return path + ": the extension must be .tum, .kitti or .txt (KITTI)";
 }
 
-template <class Pose>
-void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename Pose::Jacobian>& covariances,
-                      const std::string& path) {
-  AtomicFile file(path == "-" ? "/dev/stdout" : path);
-  std::ostream& out = file.Stream();
-  out << "id";
-  for (int r = 0; r < Pose::kDof; ++r) {
-    for (int c = 0; c < Pose::kDof; ++c) out << ',' << TangentNames<Pose>()[r] << '_' << TangentNames<Pose>()[c];
-  }
-  out << '\n';
-  for (std::size_t k = 0; k < ids.size(); ++k) {
-    out << ids[k].value;
-    for (int r = 0; r < Pose::kDof; ++r) {
-      for (int c = 0; c < Pose::kDof; ++c) out << ',' << Shortest(covariances[k](r, c));
-    }
-    out << '\n';
-  }
-  file.Commit();
-}
-
-#define TERSE_INSTANTIATE(Pose)                                                                        \
-  template EdgeCounts CountEdges<Pose>(const PoseGraph<Pose>&);                                        \
-  template Trajectory MakeTrajectory<Pose>(const std::vector<PoseId>&, const std::vector<Pose>&);      \
-  template void WriteCovariances<Pose>(const std::vector<PoseId>&, const std::vector<Pose::Jacobian>&, \
-                                       const std::string&);
+#define TERSE_INSTANTIATE(Pose)                                 \
+  template EdgeCounts CountEdges<Pose>(const PoseGraph<Pose>&); \
+  template Trajectory MakeTrajectory<Pose>(const std::vector<PoseId>&, const std::vector<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

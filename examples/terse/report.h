@@ -1,5 +1,5 @@
 #pragma once
-// What solve and compact write besides the graph: counts, statistics, trajectories, covariances.
+// What solve and compact write besides the graph: counts, statistics, trajectories.
 
 #include <nlohmann/json.hpp>
 #include <string>
@@ -56,10 +56,5 @@ Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose
 void WriteTrajectory(const Trajectory& trajectory, const std::string& path);
 // The cause if the ending of a path tells neither, else empty. No ending (a pipe, standard output) is TUM.
 std::string FindTrajectoryPathDefect(const std::string& path);
-
-// One row per pose: the id, then the covariance row by row (body frame, translation first). "-" is standard output.
-template <class Pose>
-void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename Pose::Jacobian>& covariances,
-                      const std::string& path);
 
 }  // namespace terse

@@ -4,9 +4,11 @@
 #include <optional>
 
 #include "commands.h"
+#include "covariance_output.h"
 #include "policy.h"
 #include "progress.h"
 #include "report.h"
+#include "step_covariances.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/initial_values.h"
@@ -17,7 +19,7 @@ namespace terse {
 namespace {
 
 enum class Mode { kBatch, kIncremental };
-enum class Covariances { kNone, kLast, kDiagonal };
+enum class Covariances { kNone, kLast, kDiagonal, kAllSteps };
 
 struct SolveOptions {
   std::string path, output, trajectory, covariance_output, stats, steps;
@@ -26,6 +28,7 @@ struct SolveOptions {
   InitialValues initial = InitialValues::kCompose;
   ArrivalUnit every = ArrivalUnit::kPose;
   Covariances covariances = Covariances::kNone;
+  CovarianceConvention convention;
   // Of the incremental mode; what is absent is the policy's.
   Policy policy = Policy::kDefault;
   Gate gate = Gate::kNewtonDecrement;
@@ -37,6 +40,10 @@ struct SolveOptions {
   int threads = 1;
   bool quiet = false;
 };
+
+std::string CovarianceTarget(const SolveOptions& options) {
+  return options.covariance_output.empty() ? "-" : options.covariance_output;
+}
 
 IncrementalOptions StepOptions(const SolveOptions& options) {
   IncrementalOptions out = PolicyOptions(options.policy);
@@ -82,6 +89,10 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
     steps_file.emplace(options.steps == "-" ? "/dev/stdout" : options.steps);
     WriteStepsHeader(steps_file->Stream());
   }
+  std::optional<StepCovariances<Pose>> covariances;
+  if (options.covariances == Covariances::kAllSteps) {
+    covariances.emplace(solver, options.convention, CovarianceTarget(options));
+  }
   {
     std::optional<Progress> progress;
     Replay<Pose>(graph, {options.every, options.initial == InitialValues::kFile}, solver, [&](const ReplayStep& step) {
@@ -91,11 +102,17 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
         const auto& known = solver.Graph();
         WriteStepsRow(step, known.Poses().size(), known.Factors().size(), steps_file->Stream());
       }
+      if (covariances) covariances->Add(step.index + 1);
       progress->Update(step.index + 1);
       return true;
     });
   }
   if (steps_file) steps_file->Commit();
+  if (covariances) {
+    covariances->Commit();
+    stats.seconds_covariance = covariances->Seconds();
+    stats.more["covariance_paths"] = covariances->PathCounts();
+  }
   stats.more["chi2_before_finish"] = solver.Chi2();
   BatchOptions finish;
   finish.threads = options.threads;
@@ -124,11 +141,11 @@ void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& res
   std::vector<typename Pose::Jacobian> covariances;
   if (options.covariances == Covariances::kLast) {
     ids = {*std::max_element(ids.begin(), ids.end())};
-    covariances = {marginals.Marginal(ids.front())};
+    covariances = {marginals.Marginal(ids.front(), options.convention)};
   } else {
-    covariances = marginals.AllMarginals();
+    covariances = marginals.AllMarginals(options.convention);
   }
-  WriteCovariances<Pose>(ids, covariances, options.covariance_output.empty() ? "-" : options.covariance_output);
+  WriteCovariances<Pose>(ids, covariances, CovarianceTarget(options), options.convention.order);
 }
 
 // Not among the rows of a table on standard output.
@@ -156,7 +173,7 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
   stats.converged = result.Converged();
   stats.termination = Name(result.termination);
   stats.phases = result.seconds;
-  if (options.covariances != Covariances::kNone) {
+  if (options.covariances == Covariances::kLast || options.covariances == Covariances::kDiagonal) {
     const double before = SecondsNow();
     WriteCovariances(graph, result, options);
     stats.seconds_covariance = SecondsNow() - before;
@@ -240,6 +257,41 @@ std::vector<CLI::Option*> AddStepOptions(CLI::App& command, SolveOptions& option
   return out;
 }
 
+// What can be told without the file; fills in what follows from other options.
+void CheckUsage(SolveOptions& options, const std::vector<CLI::Option*>& step_options,
+                const std::vector<CLI::Option*>& convention_options) {
+  for (const CLI::Option* option : step_options) {
+    if (option->count() > 0 && options.mode == Mode::kBatch) {
+      throw CLI::ValidationError(option->get_name(), "needs --mode incremental");
+    }
+  }
+  options.gate_given = step_options[1]->count() > 0;
+  if (step_options[4]->count() > 0 && options.step_budget_ms == 0) {
+    throw CLI::ValidationError("--step-budget-ms", "a step needs some time");
+  }
+  if (options.paper_flops && (options.policy == Policy::kDefault || options.steps.empty())) {
+    throw CLI::ValidationError("--paper-flops", "needs --steps and a --policy other than default");
+  }
+  const bool composed = options.initial == InitialValues::kCompose || options.initial == InitialValues::kFile;
+  if (options.mode == Mode::kIncremental && !composed) {
+    throw CLI::ValidationError("--initial", "the incremental mode takes compose or file");
+  }
+  if (!options.covariance_output.empty() && options.covariances == Covariances::kNone) {
+    options.covariances = Covariances::kDiagonal;
+  }
+  if (options.covariances == Covariances::kAllSteps && options.mode == Mode::kBatch) {
+    throw CLI::ValidationError("--covariances", "all-steps needs --mode incremental");
+  }
+  for (const CLI::Option* option : convention_options) {
+    if (option->count() > 0 && options.covariances == Covariances::kNone) {
+      throw CLI::ValidationError(option->get_name(), "needs --covariances");
+    }
+  }
+  if (options.steps == "-" && options.covariances != Covariances::kNone && CovarianceTarget(options) == "-") {
+    throw CLI::ValidationError("--steps", "standard output takes one table: --covariance-output needs a path");
+  }
+}
+
 }  // namespace
 
 void AddSolveCommand(CLI::App& app) {
@@ -267,8 +319,13 @@ void AddSolveCommand(CLI::App& app) {
       ->check(FindTrajectoryPathDefect)
       ->type_name("PATH");
   AddChoice(*command, "--covariances", options->covariances,
-            {{"none", Covariances::kNone}, {"last", Covariances::kLast}, {"diagonal", Covariances::kDiagonal}},
-            "Marginal covariances (body frame; metres, radians): of the last pose, or of every pose");
+            {{"none", Covariances::kNone},
+             {"last", Covariances::kLast},
+             {"diagonal", Covariances::kDiagonal},
+             {"all-steps", Covariances::kAllSteps}},
+            "Marginal covariances (metres, radians): of the last pose, of every pose, or of the newest pose at every "
+            "step of the incremental mode");
+  const std::vector<CLI::Option*> convention_options = AddConventionOptions(*command, options->convention);
   command
       ->add_option("--covariance-output", options->covariance_output,
                    "Where the covariances go (CSV; standard output by default); alone it means diagonal")
@@ -279,26 +336,8 @@ void AddSolveCommand(CLI::App& app) {
       ->type_name("N");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   command->footer("Example: terse solve sphere2500.g2o --output solved.g2o --stats stats.json");
-  command->callback([options, step_options] {
-    for (const CLI::Option* option : step_options) {
-      if (option->count() > 0 && options->mode == Mode::kBatch) {
-        throw CLI::ValidationError(option->get_name(), "needs --mode incremental");
-      }
-    }
-    options->gate_given = step_options[1]->count() > 0;
-    if (step_options[4]->count() > 0 && options->step_budget_ms == 0) {
-      throw CLI::ValidationError("--step-budget-ms", "a step needs some time");
-    }
-    if (options->paper_flops && (options->policy == Policy::kDefault || options->steps.empty())) {
-      throw CLI::ValidationError("--paper-flops", "needs --steps and a --policy other than default");
-    }
-    const bool composed = options->initial == InitialValues::kCompose || options->initial == InitialValues::kFile;
-    if (options->mode == Mode::kIncremental && !composed) {
-      throw CLI::ValidationError("--initial", "the incremental mode takes compose or file");
-    }
-    if (!options->covariance_output.empty() && options->covariances == Covariances::kNone) {
-      options->covariances = Covariances::kDiagonal;
-    }
+  command->callback([options, step_options, convention_options] {
+    CheckUsage(*options, step_options, convention_options);
     Solve(*options);
   });
 }
