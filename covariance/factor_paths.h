@@ -64,7 +64,10 @@ template <int B>
 void GatherRows(const std::vector<int>& variables, const std::vector<int>& row_of, const double* X, int stride,
                 double* out) {
   for (const int v : variables) {
-    out = std::copy_n(X + At(row_of[At(v)]) * At(stride), B * stride, out);
+    const double* from = X + At(row_of[At(v)]) * At(stride);
+    for (int k = 0; k < B * stride; k += B * kLanes, out += B * kLanes) {
+      for (int i = 0; i < B * kLanes; ++i) out[i] = from[k + i];
+    }
   }
 }
 
@@ -72,8 +75,10 @@ template <int B>
 void ScatterRows(const std::vector<int>& variables, const std::vector<int>& row_of, const double* in, int stride,
                  double* X) {
   for (const int v : variables) {
-    std::copy_n(in, B * stride, X + At(row_of[At(v)]) * At(stride));
-    in += B * stride;
+    double* to = X + At(row_of[At(v)]) * At(stride);
+    for (int k = 0; k < B * stride; k += B * kLanes, in += B * kLanes) {
+      for (int i = 0; i < B * kLanes; ++i) to[k + i] = in[i];
+    }
   }
 }
 

@@ -9,15 +9,17 @@ constexpr int kSmall = 8;    // triangles that are inverted entry by entry
 constexpr int kChunk = 48;   // rows at a time where a triangle's zeros are left out
 constexpr int kCorner = 24;  // diagonal blocks are computed in squares of this many rows
 
+// Rows of P are filled up with zeros, so that the kernels have no odd ones.
+constexpr int Padded(int rows) { return (rows + 7) / 8 * 8; }
+
 // Room for what will be overwritten.
 void Reserve(std::vector<double>& v, std::size_t size) {
   if (v.size() < size) v.resize(size);
 }
 
-// L^-T of the p x p lower triangle at `L` into V (p x p, column-major, upper; zero below), by blocks of columns.
-void InverseTransposed(const double* L, int ld, int p, std::vector<double>& V, std::vector<double>& scratch) {
-  Reserve(V, At(p) * At(p));
-  Reserve(scratch, At(p) * kSmall);
+// L^-T of the p x p lower triangle at `L` into V (p x p, leading dimension ldv, column-major, upper; zero below), by
+// blocks of columns.
+void InverseTransposed(const double* L, int ld, int p, double* V, int ldv, std::vector<double>& scratch) {
   double W[kSmall * kSmall] = {};
   for (int i0 = 0; i0 < p; i0 += kSmall) {
     const int w = std::min(kSmall, p - i0);
@@ -25,43 +27,65 @@ void InverseTransposed(const double* L, int ld, int p, std::vector<double>& V, s
     // W = L_ii^-1, w x w, lower.
     for (int c = 0; c < w; ++c) {
       for (int r = 0; r < c; ++r) W[c * w + r] = 0;
-      for (int r = c; r < w; ++r) {
-        double sum = r == c ? 1 : 0;
+      W[c * w + c] = 1 / l(c, c);
+    }
+    for (int c = 0; c < w; ++c) {
+      for (int r = c + 1; r < w; ++r) {
+        double sum = 0;
         for (int k = c; k < r; ++k) sum -= l(r, k) * W[c * w + k];
-        W[c * w + r] = sum / l(r, r);
+        W[c * w + r] = sum * W[r * w + r];
       }
     }
     for (int c = 0; c < w; ++c) {
-      double* column = V.data() + At(i0 + c) * At(p);
+      double* column = V + At(i0 + c) * At(ldv);
       for (int r = 0; r < w; ++r) column[i0 + r] = W[r * w + c];
-      std::fill(column + i0 + w, column + p, 0.0);
+      std::fill(column + i0 + w, column + ldv, 0.0);
     }
+    if (i0 == 0) continue;
     // Above: -V L_i' W'.
     for (double& x : W) x = -x;
+    Reserve(scratch, At(p) * kSmall);
     for (int r0 = 0; r0 < i0; r0 += kChunk) {
       const int rows = std::min(kChunk, i0 - r0);
-      Kernels().set_rectangle(scratch.data() + r0, i0, V.data() + At(r0) * At(p) + At(r0), p,
-                              L + At(r0) * At(ld) + At(i0), ld, rows, w, i0 - r0);
+      Kernels().set_rectangle(scratch.data() + r0, i0, V + At(r0) * At(ldv) + At(r0), ldv, L + At(r0) * At(ld) + At(i0),
+                              ld, rows, w, i0 - r0);
     }
-    if (i0 > 0) Kernels().set_rectangle(V.data() + At(i0) * At(p), p, scratch.data(), i0, W, w, i0, w, w);
+    Kernels().set_rectangle(V + At(i0) * At(ldv), ldv, scratch.data(), i0, W, w, i0, w, w);
   }
 }
 
-// Sigma_SS, in runs of variables that are neighbours in the parent too.
+// Separators that follow each other in the parent too, in scalars.
+struct Run {
+  int begin, rows, in_parent;
+};
+
 template <int B>
-void CopySeparators(const double* parent, int ldp, const std::vector<int>& rows_in_parent, double* Sigma_SS, int ld) {
-  const int blocks = static_cast<int>(rows_in_parent.size());
-  for (int j = 0; j < blocks; ++j) {
-    const double* from = parent + At(rows_in_parent[At(j)]) * At(ldp);
-    double* to = Sigma_SS + At(j * B) * At(ld);
-    for (int i = 0; i < blocks;) {
-      const int row = rows_in_parent[At(i)];
-      int end = i + 1;
-      while (end < blocks && rows_in_parent[At(end)] == row + (end - i) * B) ++end;
-      for (int c = 0; c < B; ++c) {
-        std::copy_n(from + At(c) * At(ldp) + At(row), (end - i) * B, to + At(c) * At(ld) + At(i * B));
+void FindRuns(const std::vector<int>& rows_in_parent, std::vector<Run>& runs) {
+  runs.clear();
+  for (std::size_t i = 0; i < rows_in_parent.size(); ++i) {
+    if (i > 0 && rows_in_parent[i] == rows_in_parent[i - 1] + B) {
+      runs.back().rows += B;
+    } else {
+      runs.push_back({B * static_cast<int>(i), B, rows_in_parent[i]});
+    }
+  }
+}
+
+template <int B>
+void CopySeparators(const double* parent, int ldp, const std::vector<Run>& runs, double* Sigma_SS, int ld) {
+  for (const Run& j : runs) {
+    for (int c = 0; c < j.rows; ++c) {
+      const double* from = parent + At(j.in_parent + c) * At(ldp);
+      double* to = Sigma_SS + At(j.begin + c) * At(ld);
+      for (const Run& i : runs) {
+        if (i.rows > 4 * B) {
+          std::copy_n(from + i.in_parent, i.rows, to + i.begin);
+          continue;
+        }
+        for (int r = 0; r < i.rows; r += B) {
+          for (int k = 0; k < B; ++k) to[i.begin + r + k] = from[i.in_parent + r + k];
+        }
       }
-      i = end;
     }
   }
 }
@@ -73,53 +97,66 @@ void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const
                             const std::vector<int>& rows_in_parent, bool diagonal_only, double* Sigma,
                             FrontScratch& scratch) {
   const DenseKernels& kernels = Kernels();
-  const int ld = front.Rows(), p = front.Columns(), s = ld - 1 - p, n = p + s;
+  const int ld = front.Rows(), p = front.Columns(), s = ld - 1 - p, n = p + s, ldv = Padded(p);
   const auto at = [n](int row, int column) { return At(column) * At(n) + At(row); };
-  InverseTransposed(front.panel.data(), ld, p, scratch.V, scratch.corner);
-  const double* V = scratch.V.data();
+  Reserve(scratch.V, At(ldv) * At(p));
+  Reserve(scratch.K, At(ldv) * At(s));
+  Reserve(scratch.M, At(ldv) * At(s));
+  double *V = scratch.V.data(), *K = scratch.K.data(), *M = scratch.M.data();
+  InverseTransposed(front.panel.data(), ld, p, V, ldv, scratch.corner);
   if (s > 0) {
-    CopySeparators<B>(parent, ldp, rows_in_parent, Sigma + at(p, p), n);
-    Reserve(scratch.K, At(p) * At(s));
-    Reserve(scratch.M, At(p) * At(s));
     // K' = L_PP^-T L_SP' (p x s).
-    for (int r0 = 0; r0 < p; r0 += kChunk) {
-      const int rows = std::min(kChunk, p - r0);
-      kernels.set_rectangle(scratch.K.data() + r0, p, V + At(r0) * At(p) + At(r0), p,
+    for (int r0 = 0; r0 < ldv; r0 += kChunk) {
+      const int rows = std::min(kChunk, ldv - r0);
+      kernels.set_rectangle(K + r0, ldv, V + At(r0) * At(ldv) + At(r0), ldv,
                             front.panel.data() + At(r0) * At(ld) + At(p), ld, rows, s, p - r0);
     }
-    // -Sigma_PS = K' Sigma_SS.
-    kernels.set_rectangle(scratch.M.data(), p, scratch.K.data(), p, Sigma + at(p, p), n, p, s, s);
-  }
-  // Sigma_PP = V V' + K' Sigma_SS K; rows r0.. of V begin at column r0. Squares on the diagonal are all that is needed
-  // if diagonal_only.
-  const int chunk = diagonal_only ? kCorner : kChunk;
-  for (int r0 = 0; r0 < p; r0 += chunk) {
-    const int rows = std::min(chunk, p - r0), c0 = diagonal_only ? r0 : 0, columns = r0 + rows - c0;
-    kernels.set_rectangle(Sigma + at(r0, c0), n, V + At(r0) * At(p) + At(r0), p, V + At(r0) * At(p) + At(c0), p, rows,
-                          columns, p - r0);
-    if (s > 0) {
-      kernels.add_rectangle(Sigma + at(r0, c0), n, scratch.M.data() + r0, p, scratch.K.data() + c0, p, rows, columns,
-                            s);
+    // M = K' Sigma_SS = -Sigma_PS.
+    thread_local std::vector<Run> runs;
+    FindRuns<B>(rows_in_parent, runs);
+    if (diagonal_only && runs.size() <= 4) {
+      for (const Run& j : runs) {
+        for (const Run& i : runs) {
+          const auto product = i.begin == 0 ? kernels.set_rectangle : kernels.add_rectangle;
+          product(M + At(j.begin) * At(ldv), ldv, K + At(i.begin) * At(ldv), ldv,
+                  parent + At(i.in_parent) * At(ldp) + At(j.in_parent), ldp, ldv, j.rows, i.rows);
+        }
+      }
+    } else {
+      CopySeparators<B>(parent, ldp, runs, Sigma + at(p, p), n);
+      kernels.set_rectangle(M, ldv, K, ldv, Sigma + at(p, p), n, ldv, s, s);
     }
   }
-  // The same to the last bit on both sides of the diagonal.
-  for (int c = 0; c < p; ++c) {
-    const int end = diagonal_only ? (c / B + 1) * B : p;
-    for (int r = c + 1; r < end; ++r) Sigma[at(c, r)] = Sigma[at(r, c)];
+  // Sigma_PP = V V' + M K; rows r0.. of V begin at column r0. Squares on the diagonal are all that is needed if
+  // diagonal_only.
+  const int chunk = diagonal_only ? kCorner : kChunk;
+  Reserve(scratch.corner, At(chunk) * At(p));
+  for (int r0 = 0; r0 < p; r0 += chunk) {
+    const int rows = std::min(chunk, ldv - r0), used = std::min(chunk, p - r0);
+    const int c0 = diagonal_only ? r0 : 0, columns = r0 + used - c0;
+    double* C = scratch.corner.data();
+    kernels.set_rectangle(C, rows, V + At(r0) * At(ldv) + At(r0), ldv, V + At(r0) * At(ldv) + At(c0), ldv, rows,
+                          columns, p - r0);
+    if (s > 0) kernels.add_rectangle(C, rows, M + r0, ldv, K + c0, ldv, rows, columns, s);
+    for (int c = 0; c < columns; ++c) {
+      for (int r = std::max(0, c0 + c - r0); r < used; ++r) {
+        Sigma[at(r0 + r, c0 + c)] = Sigma[at(c0 + c, r0 + r)] = C[At(c) * At(rows) + At(r)];
+      }
+    }
   }
   if (diagonal_only) return;
   for (int j = 0; j < s; ++j) {
-    const double* column = scratch.M.data() + At(j) * At(p);
+    const double* column = M + At(j) * At(ldv);
     double* above = Sigma + at(0, p + j);
     for (int i = 0; i < p; ++i) above[i] = -column[i];
   }
   // Its transpose, in squares that stay in the first-level cache.
   constexpr int kSquare = 16;
   for (int j0 = 0; j0 < s; j0 += kSquare) {
+    const int end = std::min(s, j0 + kSquare);
     for (int i = 0; i < p; ++i) {
-      for (int j = j0; j < std::min(s, j0 + kSquare); ++j) {
-        Sigma[at(p + j, i)] = -scratch.M[At(j) * At(p) + At(i)];
-      }
+      double* column = Sigma + at(p, i);
+      for (int j = j0; j < end; ++j) column[j] = -M[At(j) * At(ldv) + At(i)];
     }
   }
 }
