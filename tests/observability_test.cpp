@@ -255,46 +255,73 @@ TYPED_TEST(ObservabilityTest, AFailedUpdateSaysWhatWouldBeFree) {
   EXPECT_TRUE(solver.Finish().Converged());
 }
 
-// From well measured to not at all: there is either an error that names what is free, or every covariance is finite
-// and positive definite.
+// There is either an error that names what is free, or every covariance is finite and positive definite. True if the
+// graph has covariances.
+template <class Pose>
+bool HasSoundCovariances(const Built<Pose>& built, PoseId a, PoseId b) {
+  try {
+    const Marginals<Pose> marginals(built.graph, built.values);
+    std::vector<PoseId> ids;
+    for (const auto& node : built.graph.Poses()) ids.push_back(node.id);
+    for (const auto& Sigma : marginals.AllMarginals()) {
+      EXPECT_TRUE(Sigma.allFinite()) << Sigma;
+      EXPECT_GT(Sigma.diagonal().minCoeff(), 0) << Sigma;
+    }
+    EXPECT_TRUE(marginals.Joint(ids).allFinite());
+    const auto relative = marginals.Relative(a, b);
+    EXPECT_TRUE(relative.allFinite()) << relative;
+    EXPECT_GE(relative.diagonal().minCoeff(), 0) << relative;
+    return true;
+  } catch (const UnobservableError& error) {
+    EXPECT_FALSE(error.motions().empty());
+    for (const auto& motion : error.motions()) {
+      EXPECT_TRUE(motion.directions.allFinite());
+      EXPECT_EQ(motion.directions.rows(), Pose::kDof);
+    }
+    return false;
+  }
+}
+
+// From well measured to not at all.
 TYPED_TEST(ObservabilityTest, NearlySingularIsNeverNaN) {
-  constexpr int B = TypeParam::kDof;
-  int errors = 0, covariances = 0;
+  int chains = 0, bridges = 0, priors = 0, ends = 0, count = 0;
   for (int decades = 0; decades <= 300; decades += decades < 40 ? 1 : 20) {
     SCOPED_TRACE("information 1e-" + std::to_string(decades));
+    const double weak = std::pow(10.0, -decades);
+    ++count;
     Random rng(23);
     Built<TypeParam> built;
     AddRandomComponent(rng, 100, 8, built);
+    // A chain that hardly knows of rotations.
+    Built<TypeParam> chain = built;
     for (std::int64_t id = 108; id < 112; ++id) {
-      built.graph.AddPose({id});
-      built.values.push_back(built.values.back() * testing::RandomMotion<TypeParam>(rng, 2, 0.5));
-      built.graph.AddFactor(Edge(built, id - 1, id, 1, std::pow(10.0, -decades)));
+      chain.graph.AddPose({id});
+      chain.values.push_back(chain.values.back() * testing::RandomMotion<TypeParam>(rng, 2, 0.5));
+      chain.graph.AddFactor(Edge(chain, id - 1, id, 1, weak));
     }
-    try {
-      const Marginals<TypeParam> marginals(built.graph, built.values);
-      ++covariances;
-      std::vector<PoseId> ids;
-      for (const auto& node : built.graph.Poses()) ids.push_back(node.id);
-      for (const auto& Sigma : marginals.AllMarginals()) {
-        ASSERT_TRUE(Sigma.allFinite()) << Sigma;
-        ASSERT_GT(Sigma.diagonal().minCoeff(), 0) << Sigma;
-      }
-      ASSERT_TRUE(marginals.Joint(ids).allFinite());
-      const auto relative = marginals.Relative(PoseId{108}, PoseId{111});
-      ASSERT_TRUE(relative.allFinite()) << relative;
-      ASSERT_GE(relative.diagonal().minCoeff(), 0) << relative;
-    } catch (const UnobservableError& error) {
-      ++errors;
-      EXPECT_FALSE(error.motions().empty());
-      for (const auto& motion : error.motions()) {
-        EXPECT_TRUE(motion.directions.allFinite());
-        EXPECT_GE(motion.pose.value, 108);
-        EXPECT_EQ(motion.directions.rows(), B);
-      }
-    }
+    chains += HasSoundCovariances(chain, {108}, {111});
+    // Two components that hardly hang together.
+    Built<TypeParam> bridge = built;
+    AddRandomComponent(rng, 200, 8, bridge);
+    bridge.graph.AddFactor(Edge(bridge, 103, 204, weak, weak));
+    bridges += HasSoundCovariances(bridge, {103}, {204});
+    // A map that is hardly held.
+    Built<TypeParam> prior = built;
+    prior.graph.AddFactor(
+        PosePriorFactor<TypeParam>{PoseId{104}, built.values[4], weak * TypeParam::Jacobian::Identity()});
+    priors += HasSoundCovariances(prior, {101}, {107});
+    // A last pose of which hardly anything is known: nothing else depends on it.
+    Built<TypeParam> end = built;
+    end.graph.AddPose({108});
+    end.values.push_back(built.values.back() * testing::RandomMotion<TypeParam>(rng, 2, 0.5));
+    end.graph.AddFactor(Edge(end, 107, 108, weak, weak));
+    ends += HasSoundCovariances(end, {107}, {108});
   }
-  EXPECT_GT(covariances, 10);
-  EXPECT_GT(errors, 10);
+  for (const int sound : {chains, bridges, priors}) {
+    EXPECT_GT(sound, 10);
+    EXPECT_LT(sound, count - 10);
+  }
+  EXPECT_GT(ends, 10);
 }
 
 // More than the search looks for, in a graph of thousands of poses.
