@@ -214,15 +214,15 @@ class Run {
     // The factor that is handed out is the undamped one at the final values.
     if (!factored_here_) factored_here_ = RefactorAt(0);
     result_.gradient_norm = LargestEntry(result_.factor.Gradient());
-    if (factored_here_) {
-      result_.factor.Solve();
-      result_.log_determinant = result_.factor.LogDeterminant();
-    } else {
-      auto system = problem_.Everything(result_.T_world_body);
-      BlockCholesky<B> factor;
-      const auto report = factor.Update(system);
-      FinishSingular(std::move(system.added), std::max(0, report.failed_variable));
+    if (!factored_here_) {
+      // Another order may round better; or it says what is free.
+      result_.factor = BlockCholesky<B>();
+      result_.factor.SetThreads(options_.threads);
+      factored_here_ = BuildFactor();
     }
+    if (!factored_here_) return;
+    result_.factor.Solve();
+    result_.log_determinant = result_.factor.LogDeterminant();
   }
 
   bool RefactorAt(double lambda) {
