@@ -9,8 +9,10 @@
 // factorisation fails are held, one after another, until it goes through; the null vectors are then the solutions that
 // move what is held against nothing.
 //
-// Every motion v is confirmed by |A v|^2, summed factor by factor, which sees far below the rounding of H. Meant for
-// after a failure: costs up to kMaxHeld + 2 factorisations and a path of the tree for every direction of a held pose.
+// A motion v inside a component is confirmed by |A v|^2, summed factor by factor, which sees far below the rounding of
+// H. For use after a failure: about ten factorisations at most, and a path of the tree for every direction of a pose
+// that is held. No more than eight poses are held, so there may be more such motions than are found; the others are
+// complete.
 
 #include <string>
 #include <vector>
