@@ -7,7 +7,7 @@ packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev lib
 bench_packages = libbenchmark-dev libceres-dev
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test bench bench-docs micro-bench install asan format format-check deps clean help
+.PHONY: all demo test bench bench-docs micro-bench consistency-docs install asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -32,6 +32,10 @@ micro-bench: build-bench/build.ninja ## build and run the benchmarks of single o
 	@cmake --build build-bench -j $(JOBS) --target micro_bench
 	@build-bench/bin/micro_bench $(BENCH_ARGS)
 
+consistency-docs: build-bench/build.ninja ## simulate runs and put plot and table into docs/consistency.md
+	@cmake --build build-bench -j $(JOBS) --target consistency
+	@build-bench/bin/consistency --svg docs/images/consistency.svg --update docs/consistency.md $(BENCH_ARGS)
+
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'
 
@@ -51,7 +55,7 @@ clean: ## remove all that was built
 	@rm -rf build build-debug build-asan build-tidy build-bench
 
 help: ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{printf "make %-13s %s\n", $$1, $$2}'
+	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{printf "make %-17s %s\n", $$1, $$2}'
 
 # Configured once; afterwards Ninja sees for itself when CMake has to run again.
 build/build.ninja: CMakePresets.json | deps

@@ -137,6 +137,13 @@ double LargestEntry(const std::vector<double>& v) {
   return largest;
 }
 
+template <class Pose>
+std::vector<PoseId> IdsOf(const PoseGraph<Pose>& graph) {
+  std::vector<PoseId> ids;
+  for (const auto& node : graph.Poses()) ids.push_back(node.id);
+  return ids;
+}
+
 // One solver run; the loop is spread over small members.
 template <class Pose>
 class Run {
@@ -177,17 +184,19 @@ class Run {
     typename BlockCholesky<B>::UpdateReport report;
     {
       ScopedTimer timer(seconds);
-      report = result_.factor.Update(std::move(everything));
+      report = result_.factor.Update(everything);
     }
     result_.seconds.order += report.seconds_order;
     result_.seconds.factor += seconds - report.seconds_order;
-    if (!report.ok) {
-      Finish(Termination::kNotPositiveDefinite,
-             "the system is singular at pose " + std::to_string(graph_.Poses()[At(report.failed_variable)].id.value) +
-                 ": nothing measures some of its directions");
-      return false;
-    }
-    return true;
+    if (!report.ok) FinishSingular(std::move(everything.added), report.failed_variable);
+    return report.ok;
+  }
+
+  void FinishSingular(std::vector<LinearFactor<B>> system, int failed_variable) {
+    auto singular = ExplainSingularity(std::move(system), result_.T_world_body, IdsOf(graph_), failed_variable);
+    Finish(Termination::kNotPositiveDefinite, singular.message);
+    result_.free_motions = std::move(singular.motions);
+    result_.factor = BlockCholesky<B>();
   }
 
   void Iterate() {
@@ -205,12 +214,15 @@ class Run {
     // The factor that is handed out is the undamped one at the final values.
     if (!factored_here_) factored_here_ = RefactorAt(0);
     result_.gradient_norm = LargestEntry(result_.factor.Gradient());
-    if (factored_here_) {
-      result_.factor.Solve();
-      result_.log_determinant = result_.factor.LogDeterminant();
-    } else if (result_.termination != Termination::kNotPositiveDefinite) {
-      Finish(Termination::kNotPositiveDefinite, "the system is singular at the final values");
+    if (!factored_here_) {
+      // Another order may round better; or it says what is free.
+      result_.factor = BlockCholesky<B>();
+      result_.factor.SetThreads(options_.threads);
+      factored_here_ = BuildFactor();
     }
+    if (!factored_here_) return;
+    result_.factor.Solve();
+    result_.log_determinant = result_.factor.LogDeterminant();
   }
 
   bool RefactorAt(double lambda) {
@@ -343,10 +355,10 @@ template <class Pose>
 BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body) {
   if (T_world_body.size() != graph.Poses().size()) throw std::invalid_argument("one value per pose is needed");
   BlockCholesky<Pose::kDof> factor;
-  const auto report = factor.Update(Problem<Pose>(graph, 1).Everything(T_world_body));
+  auto everything = Problem<Pose>(graph, 1).Everything(T_world_body);
+  const auto report = factor.Update(everything);
   if (!report.ok) {
-    throw NumericalError("the system is singular at pose " +
-                         std::to_string(graph.Poses()[At(report.failed_variable)].id.value));
+    ThrowSingular(ExplainSingularity(std::move(everything.added), T_world_body, IdsOf(graph), report.failed_variable));
   }
   factor.Solve();
   return factor;

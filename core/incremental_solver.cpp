@@ -72,17 +72,34 @@ void IncrementalSolver<Pose>::AddToFactor(const GraphUpdate<Pose>& update, Plan&
   for (const int slot : plan.changes.removed) gone.push_back(factor_.FactorAt(slot));
   for (const auto& change : plan.changes.replaced) gone.push_back(factor_.FactorAt(change.first));
   const auto factored = UpdateFactor(plan.changes, report);
-  if (!factored.ok) {
-    const int v = factored.failed_variable;
-    const int old = static_cast<int>(graph_.Poses().size());
-    const PoseId id = v < old ? graph_.Poses()[At(v)].id : update.poses[At(v - old)].id;
-    throw NumericalError("the update would make the system singular at pose " + std::to_string(id.value));
-  }
+  if (!factored.ok) ThrowSingularUpdate(update, plan, factored.failed_variable);
   report.path = factored.path;
   for (const auto& factor : gone) ChangeCosts(factor, -1);
   for (const auto& change : plan.changes.replaced) ChangeCosts(change.second, 1);
   for (const auto& factor : plan.changes.added) ChangeCosts(factor, 1);
   Commit(update, plan, report, factored.added_slots);
+}
+
+// Of the system that the update would have made.
+template <class Pose>
+void IncrementalSolver<Pose>::ThrowSingularUpdate(const GraphUpdate<Pose>& update, const Plan& plan,
+                                                  int failed_variable) const {
+  std::map<int, LinearFactor<B>> old;
+  for (int slot = 0; slot < static_cast<int>(factor_of_slot_.size()); ++slot) {
+    if (factor_.FactorAt(slot).first >= 0) old.emplace(slot, factor_.FactorAt(slot));
+  }
+  for (const int slot : plan.changes.removed) old.erase(slot);
+  for (const auto& [slot, factor] : plan.changes.replaced) old[slot] = factor;
+  std::vector<LinearFactor<B>> system = plan.changes.added;
+  for (const auto& [slot, factor] : old) system.push_back(factor);
+  std::vector<Pose> values = linearization_points_;
+  values.insert(values.end(), plan.new_values.begin(), plan.new_values.end());
+  std::vector<PoseId> ids;
+  for (const auto& node : graph_.Poses()) ids.push_back(node.id);
+  for (const auto& pose : update.poses) ids.push_back(pose.id);
+  SingularityReport report = ExplainSingularity(std::move(system), values, ids, failed_variable);
+  report.message = "the update cannot be made: " + report.message;
+  ThrowSingular(std::move(report));
 }
 
 template <class Pose>
@@ -131,6 +148,7 @@ double IncrementalSolver<Pose>::Chi2() const {
 template <class Pose>
 BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
   BatchResult<Pose> result = SolveBatch(graph_, Estimates(), options);
+  if (result.termination == Termination::kNotPositiveDefinite) return result;
   // The factor of this solver moves to the optimum too: every linearisation point changes.
   typename BlockCholesky<B>::Changes changes;
   const auto point = [&](int v) -> const Pose& { return result.T_world_body[At(v)]; };

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "terse/core/block_cholesky.h"
+#include "terse/core/observability.h"
 #include "terse/core/pose_graph.h"
 
 namespace terse {
@@ -48,8 +49,9 @@ struct BatchResult {
   double gradient_norm = 0;  // largest entry of A'r there
   double log_determinant = 0;
   PhaseSeconds seconds;
-  // The factor at T_world_body (variable = pose index), for covariances; unless not positive definite.
+  // The factor at T_world_body (variable = pose index), for covariances; empty if not positive definite.
   BlockCholesky<Pose::kDof> factor;
+  std::vector<FreeMotion> free_motions;  // what no measurement sees, if not positive definite
   bool Converged() const { return termination == Termination::kConverged; }
 };
 
@@ -57,8 +59,8 @@ template <class Pose>
 BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial,
                              const BatchOptions& options = {});
 
-// The undamped factor at given values (variable = pose index). Throws NumericalError naming the pose at which the
-// system turned out singular.
+// The undamped factor at given values (variable = pose index). Throws UnobservableError if the system is singular,
+// NumericalError if it is not finite.
 template <class Pose>
 BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body);
 

@@ -43,12 +43,12 @@ class IncrementalSolver {
 
   explicit IncrementalSolver(const IncrementalOptions& options = {});
 
-  // Throws std::invalid_argument (unknown or duplicate ids, defective factors, a pose no factor reaches) or
-  // NumericalError (the system would be singular).
+  // Throws std::invalid_argument (unknown or duplicate ids, defective factors, a pose no factor reaches),
+  // UnobservableError (the system would be singular; it says what would be free) or NumericalError (not finite).
   StepReport Update(const GraphUpdate<Pose>& update);
 
-  // Iterates to the batch optimum, which becomes the linearisation point. The result's poses are in the order of
-  // Graph().Poses().
+  // Iterates to the batch optimum, which becomes the linearisation point; where the system turns out not to be positive
+  // definite, nothing changes. The result's poses are in the order of Graph().Poses().
   BatchResult<Pose> Finish(const BatchOptions& options = {});
 
   // Poses and living factors; the pose values in it are the initial ones.
@@ -84,6 +84,7 @@ class IncrementalSolver {
               const std::vector<int>& added_slots);
   // incremental_solver.cpp
   void AddToFactor(const GraphUpdate<Pose>& update, Plan& plan, StepReport& report);
+  [[noreturn]] void ThrowSingularUpdate(const GraphUpdate<Pose>& update, const Plan& plan, int failed_variable) const;
   typename BlockCholesky<B>::UpdateReport UpdateFactor(typename BlockCholesky<B>::Changes changes, StepReport& report);
   double TimedChi2(StepReport& report) const;
   // incremental_gate.cpp
