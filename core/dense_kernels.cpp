@@ -17,10 +17,11 @@ namespace terse::internal {
   void SubstituteBackward(const double* panel, int ld, int rows, int pivots, double* x, int stride);                 \
   void SubtractRows(double* y, int ldy, const double* x, int ldx, const double* t, int ldt, int rows, int depth,     \
                     int width);                                                                                      \
+  void TransformRows(double* y, int stride, const double* t, int rows, int depth);                                   \
   void SubtractCongruences(double* s, const double* y, int stride, const double* m, int count, int size, int depth); \
   constexpr DenseKernels kKernels = {                                                                                \
-      #set,         FactorPanel,       SubtractProduct,    RankUpdate,   BackSubstitute,     AddRectangle,           \
-      SetRectangle, SubstituteForward, SubstituteBackward, SubtractRows, SubtractCongruences};                       \
+      #set,         FactorPanel,       SubtractProduct,    RankUpdate,   BackSubstitute, AddRectangle,               \
+      SetRectangle, SubstituteForward, SubstituteBackward, SubtractRows, TransformRows,  SubtractCongruences};       \
   }
 TERSE_DECLARE_KERNELS(baseline)
 #ifdef TERSE_X86_KERNELS

@@ -37,6 +37,8 @@ struct DenseKernels {
   // Y -= X T, all row-major: Y rows x width, X rows x depth, T depth x width; width a multiple of kLanes.
   void (*subtract_rows)(double* y, int ldy, const double* x, int ldx, const double* t, int ldt, int rows, int depth,
                         int width);
+  // Y = Y T for a Y of so many rows, row-major; T depth x stride, depth <= stride, stride kLanes or 2 kLanes.
+  void (*transform_rows)(double* y, int stride, const double* t, int rows, int depth);
   // For each of `count` blocks: S (size x size, contiguous) -= (Y M Y' + Y M' Y') / 2, Y size x depth, row-major with
   // `stride` columns, the ones beyond depth zero; M depth x depth, row-major with `stride` columns. Size 3 or 6.
   void (*subtract_congruences)(double* s, const double* y, int stride, const double* m, int count, int size, int depth);

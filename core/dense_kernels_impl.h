@@ -328,8 +328,8 @@ void Backward(const double* l, long ld, int rows, int pivots, double* x, long st
   }
 }
 
-// N rows of Y -= X T.
-template <int W, int V, int N>
+// N rows of Y -= X T, or Y = X T; all are read before any is written.
+template <int W, int V, int N, bool kSet>
 inline void Rows(double* y, long ldy, const double* x, long ldx, const double* t, long ldt, int depth) {
   using Lanes = typename LanesOf<W>::Type;
   Lanes sum[N][V] = {};
@@ -341,15 +341,18 @@ inline void Rows(double* y, long ldy, const double* x, long ldx, const double* t
     }
   }
   for (int r = 0; r < N; ++r) {
-    for (int v = 0; v < V; ++v) *reinterpret_cast<Lanes*>(y + r * ldy + v * W) -= sum[r][v];
+    for (int v = 0; v < V; ++v) {
+      Lanes& to = *reinterpret_cast<Lanes*>(y + r * ldy + v * W);
+      to = kSet ? sum[r][v] : to - sum[r][v];
+    }
   }
 }
 
-template <int W, int V>
+template <int W, int V, bool kSet>
 void AllRows(double* y, long ldy, const double* x, long ldx, const double* t, long ldt, int rows, int depth) {
   int r = 0;
-  for (; r + 6 <= rows; r += 6) Rows<W, V, 6>(y + r * ldy, ldy, x + r * ldx, ldx, t, ldt, depth);
-  for (; r < rows; ++r) Rows<W, V, 1>(y + r * ldy, ldy, x + r * ldx, ldx, t, ldt, depth);
+  for (; r + 6 <= rows; r += 6) Rows<W, V, 6, kSet>(y + r * ldy, ldy, x + r * ldx, ldx, t, ldt, depth);
+  for (; r < rows; ++r) Rows<W, V, 1, kSet>(y + r * ldy, ldy, x + r * ldx, ldx, t, ldt, depth);
 }
 
 // Calls do_lanes<W, V>(first column) for vectors that cover `columns` columns.
@@ -399,7 +402,7 @@ struct RowLanes {
   int rows, depth;
   template <int W, int V>
   void operator()(int c) const {
-    AllRows<W, V>(y + c, ldy, x, ldx, t + c, ldt, rows, depth);
+    AllRows<W, V, false>(y + c, ldy, x, ldx, t + c, ldt, rows, depth);
   }
 };
 
@@ -462,6 +465,15 @@ void SubstituteBackward(const double* panel, int ld, int rows, int pivots, doubl
 void SubtractRows(double* y, int ldy, const double* x, int ldx, const double* t, int ldt, int rows, int depth,
                   int width) {
   ForLanes(width, RowLanes{y, ldy, x, ldx, t, ldt, rows, depth});
+}
+
+void TransformRows(double* y, int stride, const double* t, int rows, int depth) {
+  constexpr int kHalf = kWidth < kLanes ? kWidth : kLanes;
+  if (stride == kLanes) {
+    AllRows<kHalf, kLanes / kHalf, true>(y, stride, y, stride, t, stride, rows, depth);
+  } else {
+    AllRows<kWidth, 2 * kLanes / kWidth, true>(y, stride, y, stride, t, stride, rows, depth);
+  }
 }
 
 void SubtractCongruences(double* s, const double* y, int stride, const double* m, int count, int size, int depth) {

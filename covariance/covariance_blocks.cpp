@@ -10,13 +10,6 @@ using internal::FactorPaths;
 using internal::Stride;
 using std::size_t;
 
-// By variable, one use at a time in each thread; what is in it is old.
-std::vector<int>& RowScratch(int variables) {
-  thread_local std::vector<int> row_of;
-  if (row_of.size() < At(variables)) row_of.resize(At(variables));
-  return row_of;
-}
-
 template <int B>
 void SetIdentity(double* X, int row, int column, int stride) {
   for (int c = 0; c < B; ++c) X[At(row + c) * At(stride) + At(column + c)] = 1;
@@ -39,7 +32,7 @@ MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>&
   FactorPaths<B> paths(factor);
   for (const int v : columns) paths.Add(v);
   for (const int v : rows) paths.Add(v);
-  std::vector<int>& row_of = RowScratch(factor.Variables());
+  std::vector<int>& row_of = internal::RowScratch(factor.Variables());
   int total = 0;
   std::vector<int> first(At(paths.Size()), internal::kNoRow), base(At(paths.Size()));
   for (int k = 0; k < paths.Size(); ++k) {
@@ -88,7 +81,7 @@ MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& 
   for (size_t q = 0; q < variables.size(); ++q) {
     starting[At(paths.PositionOf(variables[q]))].push_back(static_cast<int>(q));
   }
-  std::vector<int>& row_of = RowScratch(factor.Variables());
+  std::vector<int>& row_of = internal::RowScratch(factor.Variables());
   const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
   MatrixX joint = MatrixX::Zero(size, size);
   std::vector<double> gram;
@@ -155,47 +148,6 @@ MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& 
   for (Eigen::Index c = 1; c < size; ++c) joint.col(c).head(c) = joint.row(c).head(c).transpose();
   return joint;
 }
-
-namespace internal {
-
-template <int B>
-void SolveAll(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>& E, std::vector<double>& X,
-              int stride) {
-  const size_t size = At(factor.Variables()) * B * At(stride);
-  if (X.size() < size) X.resize(size + size / 2);
-  std::vector<int>& row_of = RowScratch(factor.Variables());
-  for (int v = 0; v < factor.Variables(); ++v) row_of[At(v)] = B * v;
-  std::vector<double> scratch;
-  FactorPaths<B> paths(factor);
-  for (const auto& e : E) paths.Add(e.variable);
-  for (int k = 0; k < paths.Size(); ++k) {
-    for (const int v : paths[k].pivots) std::fill_n(X.begin() + long{v} * B * stride, B * stride, 0.0);
-  }
-  std::vector<int> first(At(paths.Size()), kNoRow);
-  const auto lower = [&](std::vector<int>& bound, int v) {
-    int& at = bound[At(paths.PositionOf(v))];
-    at = std::min(at, PivotRow<B>(paths[paths.PositionOf(v)], v));
-  };
-  for (const auto& e : E) {
-    Eigen::Map<Eigen::Matrix<double, B, B, Eigen::RowMajor>, 0, Eigen::OuterStride<>>(
-        X.data() + long{e.variable} * B * stride + e.column, Eigen::OuterStride<>(stride)) += e.block;
-    lower(first, e.variable);
-  }
-  ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
-  std::vector<int> stack(factor.Roots());
-  while (!stack.empty()) {
-    const int k = paths.Find(stack.back());
-    const auto& front = factor.FrontAt(stack.back());
-    stack.pop_back();
-    BackwardFront<B>(front, 0, k < 0 || first[At(k)] == kNoRow, row_of, X.data(), stride, scratch);
-    stack.insert(stack.end(), front.children.begin(), front.children.end());
-  }
-}
-
-template void SolveAll<3>(const BlockCholesky<3>&, const std::vector<RightHandSide<3>>&, std::vector<double>&, int);
-template void SolveAll<6>(const BlockCholesky<6>&, const std::vector<RightHandSide<6>>&, std::vector<double>&, int);
-
-}  // namespace internal
 
 #define TERSE_INSTANTIATE(B)                                                                                       \
   template MatrixX CovarianceBlocks<B>(const BlockCholesky<B>&, const std::vector<int>&, const std::vector<int>&); \

@@ -133,10 +133,18 @@ struct RightHandSide {
   Matrix<B, B> block;
 };
 
-// X = H^-1 E for all variables: E is the sum of the blocks, X has the rows of variable v from B v on. What was in X
-// before does not matter, if it is finite.
+// X = H^-1 E for the pivots of the paths of E's variables: E is the sum of the blocks, X has the rows of variable v
+// from B v on. What was in X before does not matter, if it is finite. All must be among the paths.
+template <int B>
+void SolvePaths(const FactorPaths<B>& paths, const std::vector<RightHandSide<B>>& E, int variables,
+                std::vector<double>& X, int stride);
+
+// The same for all variables.
 template <int B>
 void SolveAll(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>& E, std::vector<double>& X,
               int stride);
+
+// By variable, one use at a time in each thread; what is in it is old.
+std::vector<int>& RowScratch(int variables);
 
 }  // namespace terse::internal

@@ -9,9 +9,6 @@ constexpr int kSmall = 8;    // triangles that are inverted entry by entry
 constexpr int kChunk = 48;   // rows at a time where a triangle's zeros are left out
 constexpr int kCorner = 24;  // diagonal blocks are computed in squares of this many rows
 
-// Rows of P are filled up with zeros, so that the kernels have no odd ones.
-constexpr int Padded(int rows) { return (rows + 7) / 8 * 8; }
-
 // Room for what will be overwritten.
 void Reserve(std::vector<double>& v, std::size_t size) {
   if (v.size() < size) v.resize(size);
@@ -161,9 +158,37 @@ void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const
   }
 }
 
+// X_P = -K' X_S, for a front off the path of the column's variable.
 template <int B>
-void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch) {
+void ExtendColumn(const typename BlockCholesky<B>::Front& front, const FrontScratch& scratch, std::vector<double>& X,
+                  std::vector<double>& buffer) {
+  constexpr int kStride = Stride(B);
+  const int p = front.Columns(), s = front.Rows() - 1 - p, ldv = Padded(p);
+  Reserve(buffer, At(s) * kStride + At(ldv) * B);
+  double *X_S = buffer.data(), *out = buffer.data() + At(s) * kStride;
+  for (std::size_t k = 0; k < front.separators.size(); ++k) {
+    const double* from = X.data() + At(front.separators[k]) * B * kStride;
+    for (int i = 0; i < B * kStride; ++i) X_S[k * B * kStride + At(i)] = from[i];
+  }
+  Kernels().set_rectangle(out, ldv, scratch.K.data(), ldv, X_S, kStride, ldv, B, s);
+  for (std::size_t k = 0; k < front.pivots.size(); ++k) {
+    double* to = X.data() + At(front.pivots[k]) * B * kStride;
+    for (int r = 0; r < B; ++r) {
+      for (int c = 0; c < B; ++c) to[r * kStride + c] = -out[At(c) * At(ldv) + k * B + At(r)];
+      for (int c = B; c < kStride; ++c) to[r * kStride + c] = 0;
+    }
+  }
+}
+
+template <int B>
+void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch,
+                         const ColumnOfAll* column) {
   out.resize(At(factor.Variables()));
+  FactorPaths<B> paths(factor);
+  if (column != nullptr) {
+    paths.Add(column->variable);
+    SolvePaths(paths, {{column->variable, 0, Matrix<B, B>::Identity()}}, factor.Variables(), *column->X, Stride(B));
+  }
   std::vector<RecursionLevel>& path = scratch.path;
   std::size_t depth = 0;  // levels in use; those below keep their buffers
   const auto visit = [&](int id, const std::vector<int>& rows) {
@@ -177,6 +202,7 @@ void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B
     const RecursionLevel* parent = depth > 0 ? &path[depth - 1] : nullptr;
     ComputeFrontCovariance<B>(front, parent ? parent->covariance.data() : nullptr, parent ? parent->n : 0, rows,
                               front.children.empty(), here.covariance.data(), scratch.front);
+    if (column != nullptr && paths.Find(id) < 0) ExtendColumn<B>(front, scratch.front, *column->X, scratch.column);
     const Eigen::Map<const MatrixX> Sigma(here.covariance.data(), n, n);
     Eigen::Index at = 0;
     for (const int v : front.pivots) {
@@ -207,8 +233,10 @@ void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B
   }
 }
 
-template void ComputeAllDiagonals<3>(const BlockCholesky<3>&, std::vector<Matrix<3, 3>>&, RecursionScratch&);
-template void ComputeAllDiagonals<6>(const BlockCholesky<6>&, std::vector<Matrix<6, 6>>&, RecursionScratch&);
+template void ComputeAllDiagonals<3>(const BlockCholesky<3>&, std::vector<Matrix<3, 3>>&, RecursionScratch&,
+                                     const ColumnOfAll*);
+template void ComputeAllDiagonals<6>(const BlockCholesky<6>&, std::vector<Matrix<6, 6>>&, RecursionScratch&,
+                                     const ColumnOfAll*);
 template void ComputeFrontCovariance<3>(const BlockCholesky<3>::Front&, const double*, int, const std::vector<int>&,
                                         bool, double*, FrontScratch&);
 template void ComputeFrontCovariance<6>(const BlockCholesky<6>::Front&, const double*, int, const std::vector<int>&,

@@ -10,9 +10,12 @@ namespace terse::internal {
 
 // Buffers that stay allocated from front to front.
 struct FrontScratch {
-  std::vector<double> V, K, M, corner;
-  std::vector<int> row_of;  // by variable
+  std::vector<double> V, K, M, corner;  // K: K' of the last front, leading dimension Padded(p)
+  std::vector<int> row_of;              // by variable
 };
+
+// Rows of P are filled up with zeros, so that the kernels have no odd ones.
+constexpr int Padded(int rows) { return (rows + 7) / 8 * 8; }
 
 // Where a front's separators are among the parent's [P; S], in scalars. scratch.row_of holds the parent's rows.
 template <int B>
@@ -55,10 +58,17 @@ struct RecursionLevel {
 struct RecursionScratch {
   FrontScratch front;
   std::vector<RecursionLevel> path;
+  std::vector<double> column;
 };
 
-// All Sigma_vv, by variable, in one pass that keeps one path in memory.
+// All Sigma_vv, by variable, in one pass that keeps one path in memory. If a column is asked for, also Sigma_.v of that
+// variable: rows of Stride(B), those of variable i from B i on.
+struct ColumnOfAll {
+  int variable;
+  std::vector<double>* X;
+};
 template <int B>
-void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch);
+void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch,
+                         const ColumnOfAll* column = nullptr);
 
 }  // namespace terse::internal

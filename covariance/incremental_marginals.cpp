@@ -1,5 +1,6 @@
 #include "terse/covariance/incremental_marginals.h"
 
+#include <numeric>
 #include <stdexcept>
 
 #include "kept_covariances.h"
@@ -47,11 +48,14 @@ typename Pose::Jacobian IncrementalMarginals<Pose>::Newest(const CovarianceConve
 template <class Pose>
 std::vector<typename Pose::Jacobian> IncrementalMarginals<Pose>::NewestColumn(
     const CovarianceConvention& convention) const {
-  const PoseId newest = NewestId();
-  std::vector<PoseId> ids;
-  ids.reserve(solver_->Graph().Poses().size());
-  for (const auto& node : solver_->Graph().Poses()) ids.push_back(node.id);
-  return this->Column(newest, ids, convention);
+  const int newest = IndexOf(NewestId());
+  std::vector<int> all(At(newest) + 1);
+  std::iota(all.begin(), all.end(), 0);
+  std::vector<Jacobian> out = ColumnBlocks(newest, all);
+  if (convention.IsNative()) return out;
+  const Pose T_newest = ValueAt(newest);
+  for (const int i : all) out[At(i)] = ConvertCrossCovariance<Pose>(out[At(i)], ValueAt(i), T_newest, convention);
+  return out;
 }
 
 template <class Pose>

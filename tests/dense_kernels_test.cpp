@@ -257,6 +257,11 @@ TEST(DenseKernels, ProductsOfRowsAndCongruences) {
         }
       }
       for (const int size : {3, 6}) {
+        const int wide = internal::Stride(size);
+        RowMajor Z = RandomMatrix(rng, 7 + depth, wide);
+        const RowMajor T = RandomMatrix(rng, size, wide), transformed = Z.leftCols(size) * T;
+        kernels.transform_rows(Z.data(), wide, T.data(), 7 + depth, size);
+        ASSERT_LT((Z - transformed).cwiseAbs().maxCoeff(), 1e-13);
         const int count = 5, stride = internal::Stride(depth);
         RowMajor Y = RandomMatrix(rng, count * size, stride), M = RandomMatrix(rng, stride, stride);
         Y.rightCols(stride - depth).setZero();
