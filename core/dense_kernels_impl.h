@@ -252,46 +252,75 @@ inline void ForwardRows(const double* l, long ld, int pivots, const double* x, d
   }
 }
 
-// x[p] -= sum_i L(i, p) x[i] for p < N pivots, `rows` rows of L and x.
+// N pivots, their rows of x in registers: x_P = L_PP^-1 x_P.
 template <int W, int V, int N>
-inline void BackwardPivots(const double* l, long ld, int rows, const double* x, double* y, long stride) {
+inline void ForwardPivots(const double* l, long ld, double* x, long stride) {
   using Lanes = typename LanesOf<W>::Type;
-  Lanes sum[N][V] = {};
-  for (int i = 0; i < rows; ++i) {
-    Lanes xi[V];
-    for (int v = 0; v < V; ++v) xi[v] = *reinterpret_cast<const Lanes*>(x + i * stride + v * W);
-    for (int p = 0; p < N; ++p) {
-      for (int v = 0; v < V; ++v) sum[p][v] += l[p * ld + i] * xi[v];
-    }
+  Lanes row[N][V];
+  for (int p = 0; p < N; ++p) {
+    for (int v = 0; v < V; ++v) row[p][v] = *reinterpret_cast<const Lanes*>(x + p * stride + v * W);
   }
   for (int p = 0; p < N; ++p) {
-    for (int v = 0; v < V; ++v) *reinterpret_cast<Lanes*>(y + p * stride + v * W) -= sum[p][v];
+    const double inverse = 1 / l[p * ld + p];
+    for (int v = 0; v < V; ++v) {
+      row[p][v] *= inverse;
+      *reinterpret_cast<Lanes*>(x + p * stride + v * W) = row[p][v];
+      for (int q = p + 1; q < N; ++q) row[q][v] -= l[p * ld + q] * row[p][v];
+    }
   }
 }
 
-template <int W, int V>
-inline void AddMultiple(double* target, const double* source, double factor) {
+// N pivots: x_P = L_PP^-T (x_P - L_RP' x_R), `rows` rows in R.
+template <int W, int V, int N>
+inline void BackwardPivots(const double* l, long ld, int rows, double* x, long stride) {
   using Lanes = typename LanesOf<W>::Type;
-  for (int v = 0; v < V; ++v) {
-    *reinterpret_cast<Lanes*>(target + v * W) += factor * *reinterpret_cast<const Lanes*>(source + v * W);
+  Lanes row[N][V];
+  for (int p = 0; p < N; ++p) {
+    for (int v = 0; v < V; ++v) row[p][v] = *reinterpret_cast<const Lanes*>(x + p * stride + v * W);
+  }
+  const double* below = l + N;
+  const double* x_below = x + N * stride;
+  for (int i = 0; i < rows; ++i) {
+    Lanes xi[V];
+    for (int v = 0; v < V; ++v) xi[v] = *reinterpret_cast<const Lanes*>(x_below + i * stride + v * W);
+    for (int p = 0; p < N; ++p) {
+      for (int v = 0; v < V; ++v) row[p][v] -= below[p * ld + i] * xi[v];
+    }
+  }
+  for (int p = N - 1; p >= 0; --p) {
+    const double inverse = 1 / l[p * ld + p];
+    for (int v = 0; v < V; ++v) {
+      row[p][v] *= inverse;
+      *reinterpret_cast<Lanes*>(x + p * stride + v * W) = row[p][v];
+      for (int q = 0; q < p; ++q) row[q][v] -= l[q * ld + p] * row[p][v];
+    }
   }
 }
 
-template <int W, int V>
-inline void Multiply(double* target, double factor) {
-  using Lanes = typename LanesOf<W>::Type;
-  for (int v = 0; v < V; ++v) *reinterpret_cast<Lanes*>(target + v * W) *= factor;
+template <int W, int V, int N>
+inline void ForwardBlock(int width, const double* l, long ld, double* x, long stride) {
+  if (width == N) {
+    ForwardPivots<W, V, N>(l, ld, x, stride);
+  } else if constexpr (N > 1) {
+    ForwardBlock<W, V, N - 1>(width, l, ld, x, stride);
+  }
+}
+
+template <int W, int V, int N>
+inline void BackwardBlock(int width, const double* l, long ld, int rows, double* x, long stride) {
+  if (width == N) {
+    BackwardPivots<W, V, N>(l, ld, rows, x, stride);
+  } else if constexpr (N > 1) {
+    BackwardBlock<W, V, N - 1>(width, l, ld, rows, x, stride);
+  }
 }
 
 template <int W, int V>
 void Forward(const double* l, long ld, int rows, int pivots, double* x, long stride) {
   for (int k = 0; k < pivots; k += kPivotBlock) {
-    const int width = pivots - k < kPivotBlock ? pivots - k : kPivotBlock, next = k + width;
-    for (int j = k; j < next; ++j) {
-      for (int i = k; i < j; ++i) AddMultiple<W, V>(x + j * stride, x + i * stride, -l[i * ld + j]);
-      Multiply<W, V>(x + j * stride, 1 / l[j * ld + j]);
-    }
-    int r = next;
+    const int width = pivots - k < kPivotBlock ? pivots - k : kPivotBlock;
+    ForwardBlock<W, V, kPivotBlock>(width, l + k * ld + k, ld, x + k * stride, stride);
+    int r = k + width;
     for (; r + 8 <= rows; r += 8) {
       ForwardRows<W, V, 8>(l + k * ld + r, ld, width, x + k * stride, x + r * stride, stride);
     }
@@ -307,23 +336,7 @@ void Backward(const double* l, long ld, int rows, int pivots, double* x, long st
   for (int next = pivots; next > 0;) {
     // The odd ones first, so that all other blocks are full.
     const int odd = next % kPivotBlock, width = odd == 0 ? kPivotBlock : odd, k = next - width;
-    const double* below = l + k * ld + next;
-    const double* x_below = x + next * stride;
-    int p = 0;
-    if (width == 8) {
-      BackwardPivots<W, V, 8>(below, ld, rows - next, x_below, x + k * stride, stride);
-      p = 8;
-    }
-    for (; p + 3 <= width; p += 3) {
-      BackwardPivots<W, V, 3>(below + p * ld, ld, rows - next, x_below, x + (k + p) * stride, stride);
-    }
-    for (; p < width; ++p) {
-      BackwardPivots<W, V, 1>(below + p * ld, ld, rows - next, x_below, x + (k + p) * stride, stride);
-    }
-    for (int j = next - 1; j >= k; --j) {
-      for (int i = j + 1; i < next; ++i) AddMultiple<W, V>(x + j * stride, x + i * stride, -l[j * ld + i]);
-      Multiply<W, V>(x + j * stride, 1 / l[j * ld + j]);
-    }
+    BackwardBlock<W, V, kPivotBlock>(width, l + k * ld + k, ld, rows - next, x + k * stride, stride);
     next = k;
   }
 }
@@ -414,17 +427,21 @@ inline void SubtractCongruence(double* s, const double* y, long stride, const do
   using Lanes = typename LanesOf<W>::Type;
   using ColumnLanes = typename LanesOf<kColumns>::Type;
   Lanes sum[N][kVectors] = {};
+  double columns[kColumns][kPadded] = {};
   for (int c = 0; c < depth; c += kColumns) {
+    // Written here and read as vectors later, when the single values have arrived.
+    for (int r = 0; r < N; ++r) {
+      for (int i = 0; i < kColumns; ++i) columns[i][r] = y[r * stride + c + i];
+    }
     ColumnLanes t[N] = {};
     for (int k = 0; k < depth; ++k) {
       const ColumnLanes row = *reinterpret_cast<const ColumnLanes*>(m + k * stride + c);
       for (int r = 0; r < N; ++r) t[r] += y[r * stride + k] * row;
     }
     for (int i = 0; i < kColumns; ++i) {
-      double column[kPadded] = {};
-      for (int r = 0; r < N; ++r) column[r] = y[r * stride + c + i];
-      for (int r = 0; r < N; ++r) {
-        for (int v = 0; v < kVectors; ++v) sum[r][v] += t[r][i] * *reinterpret_cast<const Lanes*>(column + v * W);
+      for (int v = 0; v < kVectors; ++v) {
+        const Lanes column = *reinterpret_cast<const Lanes*>(columns[i] + v * W);
+        for (int r = 0; r < N; ++r) sum[r][v] += t[r][i] * column;
       }
     }
   }

@@ -24,7 +24,10 @@ namespace {
 
 // Measured: so many flops of the recursion's products take as long as a flop of substitution with few right-hand
 // sides, and of the products with single variables' blocks.
-constexpr double kSubstitutionFlop = 1.2, kBlockFlop = 2.4;
+template <int B>
+constexpr double kSubstitutionFlop = B == 3 ? 1.2 : 0.8;
+template <int B>
+constexpr double kBlockFlop = 2 * kSubstitutionFlop<B>;
 // Relative error of a block that is computed, and of C Y, which is a difference of such. Tests compare with what is
 // found.
 constexpr double kRounding = 1e-14, kCoreRounding = 1e-14;
@@ -270,7 +273,7 @@ CovarianceReport KeptCovariances<B>::Update() {
     report.columns = static_cast<int>(k) + (plan.solve_column ? B : 0);
     const double substitution = 2 * tree.entries * report.columns;
     const double blocks = 2 * n * B * k * (k + 2 * B) + (plan.solve_column ? 0 : 2 * n * B * B * B);
-    report.downdate_cost = kSubstitutionFlop * substitution + kBlockFlop * blocks;
+    report.downdate_cost = kSubstitutionFlop<B> * substitution + kBlockFlop<B> * blocks;
     if (only_appended || report.downdate_cost < report.recursion_cost ||
         options_.method == CovarianceOptions::Method::kDowndate) {
       Propagate(plan);
