@@ -233,7 +233,7 @@ struct LanesOf {
   typedef double Type __attribute__((vector_size(W * sizeof(double)), aligned(8), may_alias));
 };
 
-constexpr int kPivotBlock = 8;
+constexpr int kPivotBlock = 8, kLine = 8;  // doubles in a cache line
 
 // x[i0 + r] -= sum_j L(i0 + r, j) x[j] for r < N rows; L column-major.
 template <int W, int V, int N>
@@ -280,11 +280,16 @@ inline void BackwardPivots(const double* l, long ld, int rows, double* x, long s
   }
   const double* below = l + N;
   const double* x_below = x + N * stride;
-  for (int i = 0; i < rows; ++i) {
-    Lanes xi[V];
-    for (int v = 0; v < V; ++v) xi[v] = *reinterpret_cast<const Lanes*>(x_below + i * stride + v * W);
-    for (int p = 0; p < N; ++p) {
-      for (int v = 0; v < V; ++v) row[p][v] -= below[p * ld + i] * xi[v];
+  for (int i0 = 0; i0 < rows; i0 += kLine) {
+    // The columns that come next: short ones start too late for the processor to see them coming.
+    for (int p = 0; p < N; ++p) __builtin_prefetch(below + (p - kPivotBlock) * ld + i0);
+    const int end = i0 + kLine < rows ? i0 + kLine : rows;
+    for (int i = i0; i < end; ++i) {
+      Lanes xi[V];
+      for (int v = 0; v < V; ++v) xi[v] = *reinterpret_cast<const Lanes*>(x_below + i * stride + v * W);
+      for (int p = 0; p < N; ++p) {
+        for (int v = 0; v < V; ++v) row[p][v] -= below[p * ld + i] * xi[v];
+      }
     }
   }
   for (int p = N - 1; p >= 0; --p) {

@@ -10,6 +10,9 @@ using internal::FactorPaths;
 using internal::Stride;
 using std::size_t;
 
+// So many variables are worth no bookkeeping of which columns are zero where.
+constexpr size_t kFew = 2;
+
 template <int B>
 void SetIdentity(double* X, int row, int column, int stride) {
   for (int c = 0; c < B; ++c) X[At(row + c) * At(stride) + At(column + c)] = 1;
@@ -23,49 +26,90 @@ struct Passing {
   int stride = 0;
 };
 
+// Z = L^-1 E for the pivots of the paths, in their order; E are columns of the identity.
+template <int B>
+struct ForwardSolution {
+  std::vector<int> base;   // by path front: the first row of its pivots
+  std::vector<int> first;  // by path front: the first pivot row at which Z is not zero
+  std::vector<int>& row_of;
+  std::vector<double>& X;
+  std::vector<double>& scratch;
+  int stride, rows = 0;
+
+  ForwardSolution(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, const std::vector<int>& columns)
+      : base(At(paths.Size())),
+        first(At(paths.Size()), internal::kNoRow),
+        row_of(internal::RowScratch(factor.Variables())),
+        X(Buffer(0)),
+        scratch(Buffer(1)),
+        stride(Stride(B * static_cast<int>(columns.size()))) {
+    for (int k = 0; k < paths.Size(); ++k) {
+      base[At(k)] = rows;
+      for (const int v : paths[k].pivots) row_of[At(v)] = std::exchange(rows, rows + B);
+    }
+    X.assign(At(rows) * At(stride), 0.0);
+    const auto lower = [&](std::vector<int>& bound, int v) { Lower(paths, bound, v); };
+    for (size_t c = 0; c < columns.size(); ++c) {
+      SetIdentity<B>(X.data(), row_of[At(columns[c])], B * static_cast<int>(c), stride);
+      lower(first, columns[c]);
+    }
+    internal::ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
+  }
+  // The row of v is needed, or not zero.
+  void Lower(const FactorPaths<B>& paths, std::vector<int>& bound, int v) const {
+    const size_t front = At(paths.PositionOf(v));
+    bound[front] = std::min(bound[front], row_of[At(v)] - base[front]);
+  }
+
+ private:
+  // Stay allocated in each thread: for short paths fresh memory would cost more than the work.
+  static std::vector<double>& Buffer(int which) {
+    thread_local std::vector<double> buffers[2];
+    return buffers[which];
+  }
+};
+
+// Sigma = Z' Z with all columns on all paths.
+template <int B>
+MatrixX FewJointly(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, const std::vector<int>& variables) {
+  const ForwardSolution<B> solution(factor, paths, variables);
+  const int n = solution.stride;
+  MatrixX negative = MatrixX::Zero(n, n);
+  internal::Kernels().subtract_product(negative.data(), n, solution.X.data(), solution.X.data(), n, n, n,
+                                       solution.rows);
+  const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
+  MatrixX joint(size, size);
+  for (Eigen::Index c = 0; c < size; ++c) {
+    for (Eigen::Index r = c; r < size; ++r) joint(r, c) = joint(c, r) = -negative(r, c);
+  }
+  return joint;
+}
+
 }  // namespace
 
 template <int B>
 MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows,
                          const std::vector<int>& columns) {
-  const int stride = Stride(B * static_cast<int>(columns.size()));
   FactorPaths<B> paths(factor);
   for (const int v : columns) paths.Add(v);
   for (const int v : rows) paths.Add(v);
-  std::vector<int>& row_of = internal::RowScratch(factor.Variables());
-  int total = 0;
-  std::vector<int> first(At(paths.Size()), internal::kNoRow), base(At(paths.Size()));
-  for (int k = 0; k < paths.Size(); ++k) {
-    base[At(k)] = total;
-    for (const int v : paths[k].pivots) row_of[At(v)] = std::exchange(total, total + B);
-  }
-  std::vector<double> X(At(total) * At(stride), 0.0), scratch;
-  const auto lower = [&](std::vector<int>& bound, int v) {
-    int& at = bound[At(paths.PositionOf(v))];
-    at = std::min(at, row_of[At(v)] - base[At(paths.PositionOf(v))]);
-  };
-  for (size_t c = 0; c < columns.size(); ++c) {
-    SetIdentity<B>(X.data(), row_of[At(columns[c])], B * static_cast<int>(c), stride);
-    lower(first, columns[c]);
-  }
-  internal::ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
+  ForwardSolution<B> solution(factor, paths, columns);
   // Backward from the first row that is needed: an asked variable's, or that of a separator below.
   std::vector<int> needed(At(paths.Size()), internal::kNoRow);
-  for (const int v : rows) lower(needed, v);
+  for (const int v : rows) solution.Lower(paths, needed, v);
   for (int k = paths.Size() - 1; k >= 0; --k) {
     if (needed[At(k)] == internal::kNoRow) continue;
-    for (const int v : paths[k].separators) lower(needed, v);
+    for (const int v : paths[k].separators) solution.Lower(paths, needed, v);
   }
   for (int k = 0; k < paths.Size(); ++k) {
-    if (needed[At(k)] != internal::kNoRow) {
-      internal::BackwardFront<B>(paths[k], needed[At(k)], first[At(k)] == internal::kNoRow, row_of, X.data(), stride,
-                                 scratch);
-    }
+    if (needed[At(k)] == internal::kNoRow) continue;
+    internal::BackwardFront<B>(paths[k], needed[At(k)], solution.first[At(k)] == internal::kNoRow, solution.row_of,
+                               solution.X.data(), solution.stride, solution.scratch);
   }
   MatrixX out(B * static_cast<Eigen::Index>(rows.size()), B * static_cast<Eigen::Index>(columns.size()));
   for (size_t r = 0; r < rows.size(); ++r) {
     for (int i = 0; i < B; ++i) {
-      const double* from = X.data() + At(row_of[At(rows[r])] + i) * At(stride);
+      const double* from = solution.X.data() + At(solution.row_of[At(rows[r])] + i) * At(solution.stride);
       out.row(static_cast<Eigen::Index>(r) * B + i) = Eigen::Map<const Eigen::RowVectorXd>(from, out.cols());
     }
   }
@@ -76,6 +120,7 @@ template <int B>
 MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& variables) {
   FactorPaths<B> paths(factor);
   for (const int v : variables) paths.Add(v);
+  if (variables.size() <= kFew) return FewJointly(factor, paths, variables);
   std::vector<Passing> passing(At(paths.Size()));
   std::vector<std::vector<int>> starting(passing.size());
   for (size_t q = 0; q < variables.size(); ++q) {

@@ -103,6 +103,7 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
     cache_.clear();
     bytes_ = 0;
   }
+  if (method == DiagonalMethod::kCheapest && variables.size() == 1 && cache_.empty()) method = DiagonalMethod::kSolve;
   if (method == DiagonalMethod::kCheapest) {
     double solve = 0, recursion = 0;
     std::set<int> stale;
