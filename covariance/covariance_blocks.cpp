@@ -12,6 +12,8 @@ using std::size_t;
 
 // So many variables are worth no bookkeeping of which columns are zero where.
 constexpr size_t kFew = 2;
+// Numbers that a thread's buffers may hold on to.
+constexpr size_t kMostKept = size_t{1} << 20;
 
 template <int B>
 void SetIdentity(double* X, int row, int column, int stride) {
@@ -20,8 +22,9 @@ void SetIdentity(double* X, int row, int column, int stride) {
 
 // The queries whose paths lead through a front, and L^-1 E of their variables there: rows of [P; S].
 struct Passing {
-  std::vector<int> queries;
-  std::vector<int> below;  // path fronts under it
+  std::vector<int> starting;  // queries of its own pivots
+  std::vector<int> below;     // path fronts under it
+  std::vector<int> queries;   // all, in the order of the columns
   std::vector<double> x;
   int stride = 0;
 };
@@ -55,6 +58,12 @@ struct ForwardSolution {
     }
     internal::ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
   }
+  ~ForwardSolution() {
+    if (X.capacity() > kMostKept) std::vector<double>().swap(X);
+    if (scratch.capacity() > kMostKept) std::vector<double>().swap(scratch);
+  }
+  ForwardSolution(const ForwardSolution&) = delete;
+  ForwardSolution& operator=(const ForwardSolution&) = delete;
   // The row of v is needed, or not zero.
   void Lower(const FactorPaths<B>& paths, std::vector<int>& bound, int v) const {
     const size_t front = At(paths.PositionOf(v));
@@ -83,6 +92,66 @@ MatrixX FewJointly(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, 
     for (Eigen::Index r = c; r < size; ++r) joint(r, c) = joint(c, r) = -negative(r, c);
   }
   return joint;
+}
+
+// Brings together what starts at path front k and what comes from below. Returns the first row that is not zero.
+template <int B>
+int Meet(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, int k, const std::vector<int>& variables,
+         std::vector<Passing>& passing) {
+  const auto& front = paths[k];
+  Passing& here = passing[At(k)];
+  std::vector<int>& row_of = internal::RowScratch(factor.Variables());
+  int row = 0, first = front.Columns(), column = 0;
+  for (const int v : front.pivots) row_of[At(v)] = std::exchange(row, row + B);
+  for (const int v : front.separators) row_of[At(v)] = std::exchange(row, row + B);
+  for (const int child : here.below) {
+    const auto& queries = passing[At(child)].queries;
+    here.queries.insert(here.queries.end(), queries.begin(), queries.end());
+  }
+  here.queries.insert(here.queries.end(), here.starting.begin(), here.starting.end());
+  here.stride = Stride(B * static_cast<int>(here.queries.size()));
+  here.x.assign(At(row) * At(here.stride), 0.0);
+  for (const int child : here.below) {
+    Passing& from = passing[At(child)];
+    const int width = B * static_cast<int>(from.queries.size());
+    const double* source = from.x.data() + At(paths[child].Columns()) * At(from.stride);
+    for (const int v : paths[child].separators) {
+      const int at = row_of[At(v)];
+      first = std::min(first, at);
+      for (int i = 0; i < B; ++i, source += from.stride) {
+        std::copy_n(source, width, here.x.data() + At(at + i) * At(here.stride) + At(column));
+      }
+    }
+    column += width;
+    std::vector<double>().swap(from.x);
+  }
+  for (const int q : here.starting) {
+    const int at = row_of[At(variables[At(q)])];
+    SetIdentity<B>(here.x.data(), at, std::exchange(column, column + B), here.stride);
+    first = std::min(first, at);
+  }
+  return first;
+}
+
+// Sigma = Z' Z: every front adds the products of its pivots' rows, to the lower triangle.
+template <int B>
+void AddGram(const Passing& here, int first, int rows, std::vector<double>& gram, MatrixX& joint) {
+  const int n = here.stride;
+  gram.assign(At(n) * At(n), 0.0);
+  const double* Z = here.x.data() + At(first) * At(n);
+  internal::Kernels().subtract_product(gram.data(), n, Z, Z, n, n, n, rows);
+  for (size_t c = 0; c < here.queries.size(); ++c) {
+    for (size_t r = c; r < here.queries.size(); ++r) {
+      const Eigen::Map<const Matrix<B, B>, 0, Eigen::OuterStride<>> block(gram.data() + c * B * At(n) + r * B,
+                                                                          Eigen::OuterStride<>(n));
+      const int i = here.queries[r], j = here.queries[c];
+      if (i >= j) {
+        joint.block<B, B>(i * B, j * B) -= block;
+      } else {
+        joint.block<B, B>(j * B, i * B) -= block.transpose();
+      }
+    }
+  }
 }
 
 }  // namespace
@@ -122,73 +191,21 @@ MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& 
   for (const int v : variables) paths.Add(v);
   if (variables.size() <= kFew) return FewJointly(factor, paths, variables);
   std::vector<Passing> passing(At(paths.Size()));
-  std::vector<std::vector<int>> starting(passing.size());
   for (size_t q = 0; q < variables.size(); ++q) {
-    starting[At(paths.PositionOf(variables[q]))].push_back(static_cast<int>(q));
+    passing[At(paths.PositionOf(variables[q]))].starting.push_back(static_cast<int>(q));
   }
-  std::vector<int>& row_of = internal::RowScratch(factor.Variables());
   const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
   MatrixX joint = MatrixX::Zero(size, size);
   std::vector<double> gram;
   for (int k = paths.Size() - 1; k >= 0; --k) {
     const auto& front = paths[k];
     Passing& here = passing[At(k)];
-    const int ld = front.Rows(), rows = ld - 1, p = front.Columns();
-    int row = 0, first = p;
-    for (const int v : front.pivots) row_of[At(v)] = std::exchange(row, row + B);
-    for (const int v : front.separators) row_of[At(v)] = std::exchange(row, row + B);
-    for (const int child : here.below) {
-      const auto& queries = passing[At(child)].queries;
-      here.queries.insert(here.queries.end(), queries.begin(), queries.end());
-    }
-    int column = B * static_cast<int>(here.queries.size());
-    here.queries.insert(here.queries.end(), starting[At(k)].begin(), starting[At(k)].end());
-    here.stride = Stride(B * static_cast<int>(here.queries.size()));
-    here.x.assign(At(rows) * At(here.stride), 0.0);
-    for (const int q : starting[At(k)]) {
-      const int at = row_of[At(variables[At(q)])];
-      SetIdentity<B>(here.x.data(), at, std::exchange(column, column + B), here.stride);
-      first = std::min(first, at);
-    }
-    column = 0;
-    for (const int child : here.below) {
-      Passing& from = passing[At(child)];
-      const int width = B * static_cast<int>(from.queries.size());
-      const double* source = from.x.data() + At(paths[child].Columns()) * At(from.stride);
-      for (const int v : paths[child].separators) {
-        const int at = row_of[At(v)];
-        first = std::min(first, at);
-        for (int i = 0; i < B; ++i, source += from.stride) {
-          double* to = here.x.data() + At(at + i) * At(here.stride) + At(column);
-          for (int c = 0; c < width; ++c) to[c] += source[c];
-        }
-      }
-      column += width;
-      std::vector<double>().swap(from.x);
-    }
-    internal::Kernels().substitute_forward(front.panel.data() + At(first) * At(ld) + At(first), ld, rows - first,
+    const int ld = front.Rows(), p = front.Columns();
+    const int first = Meet(factor, paths, k, variables, passing);
+    internal::Kernels().substitute_forward(front.panel.data() + At(first) * At(ld) + At(first), ld, ld - 1 - first,
                                            p - first, here.x.data() + At(first) * At(here.stride), here.stride);
+    AddGram<B>(here, first, p - first, gram, joint);
     if (paths.ParentOf(k) >= 0) passing[At(paths.ParentOf(k))].below.push_back(k);
-    // Sigma = Z' Z: every front adds the products of its pivots' rows.
-    const int n = here.stride;
-    gram.assign(At(n) * At(n), 0.0);
-    const double* Z = here.x.data() + At(first) * At(n);
-    internal::Kernels().subtract_product(gram.data(), n, Z, Z, n, n, n, p - first);
-    for (size_t c = 0; c < here.queries.size(); ++c) {
-      for (size_t r = c; r < here.queries.size(); ++r) {
-        const bool below = here.queries[r] >= here.queries[c];
-        const Eigen::Map<const Matrix<B, B>, 0, Eigen::OuterStride<>> block(gram.data() + c * B * At(n) + r * B,
-                                                                            Eigen::OuterStride<>(n));
-        const int row_block = below ? here.queries[r] : here.queries[c];
-        const int column_block = below ? here.queries[c] : here.queries[r];
-        auto target = joint.block<B, B>(row_block * B, column_block * B);
-        if (below) {
-          target -= block;
-        } else {
-          target -= block.transpose();
-        }
-      }
-    }
   }
   for (Eigen::Index c = 1; c < size; ++c) joint.col(c).head(c) = joint.row(c).head(c).transpose();
   return joint;
