@@ -21,7 +21,8 @@ typename Pose::Jacobian Transformation(const Pose& T, const CovarianceConvention
 template <class Pose>
 typename Pose::Jacobian ConvertCovariance(const typename Pose::Jacobian& covariance, const Pose& T,
                                           const CovarianceConvention& to) {
-  return ConvertCrossCovariance(covariance, T, T, to);
+  const typename Pose::Jacobian out = ConvertCrossCovariance(covariance, T, T, to);
+  return (out + out.transpose()) / 2;  // the product may differ in the last bits
 }
 
 template <class Pose>

@@ -27,8 +27,8 @@ class FactorPaths {
   void Add(int variable) {
     const std::size_t begin = fronts_.size();
     for (int f = factor_->FrontOf(variable); f >= 0 && Position(f) < 0; f = factor_->FrontAt(f).parent) {
-      Position(f) = 0;
       fronts_.push_back(f);
+      Position(f) = 0;
     }
     std::reverse(fronts_.begin() + static_cast<long>(begin), fronts_.end());
     for (std::size_t k = begin; k < fronts_.size(); ++k) Position(fronts_[k]) = static_cast<int>(k);
