@@ -206,7 +206,7 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
 
 // For ChangesSince. Where memory is short, nothing is remembered.
 template <int B>
-void BlockCholesky<B>::Remember(Undo& undo) noexcept try {
+void BlockCholesky<B>::Remember(const Undo& undo) noexcept try {
   Step step{version_, {}};
   for (const int slot : undo.added) step.changes.push_back({slot, LinearFactor<B>()});
   for (const auto& [slot, factor] : undo.replaced) step.changes.push_back({slot, factor});
@@ -246,7 +246,7 @@ std::optional<std::vector<typename BlockCholesky<B>::SlotChange>> BlockCholesky<
   template void BlockCholesky<B>::RevertFactors(const Undo&);                                                     \
   template void BlockCholesky<B>::Attach(int);                                                                    \
   template void BlockCholesky<B>::Detach(int);                                                                    \
-  template void BlockCholesky<B>::Remember(Undo&) noexcept;                                                       \
+  template void BlockCholesky<B>::Remember(const Undo&) noexcept;                                                 \
   template std::optional<std::vector<BlockCholesky<B>::SlotChange>> BlockCholesky<B>::ChangesSince(std::uint64_t) \
       const;                                                                                                      \
   template BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes&);

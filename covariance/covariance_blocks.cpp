@@ -7,6 +7,7 @@ namespace {
 
 using internal::At;
 using internal::FactorPaths;
+using internal::RightHandSide;
 using internal::Stride;
 using std::size_t;
 
@@ -29,7 +30,7 @@ struct Passing {
   int stride = 0;
 };
 
-// Z = L^-1 E for the pivots of the paths, in their order; E are columns of the identity.
+// Z = L^-1 E for the pivots of the paths, in their order.
 template <int B>
 struct ForwardSolution {
   std::vector<int> base;   // by path front: the first row of its pivots
@@ -39,22 +40,23 @@ struct ForwardSolution {
   std::vector<double>& scratch;
   int stride, rows = 0;
 
-  ForwardSolution(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, const std::vector<int>& columns)
+  ForwardSolution(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, const std::vector<RightHandSide<B>>& E)
       : base(At(paths.Size())),
         first(At(paths.Size()), internal::kNoRow),
         row_of(internal::RowScratch(factor.Variables())),
         X(Buffer(0)),
         scratch(Buffer(1)),
-        stride(Stride(B * static_cast<int>(columns.size()))) {
+        stride(0) {
+    for (const auto& e : E) stride = std::max(stride, Stride(e.column + B));
     for (int k = 0; k < paths.Size(); ++k) {
       base[At(k)] = rows;
       for (const int v : paths[k].pivots) row_of[At(v)] = std::exchange(rows, rows + B);
     }
     X.assign(At(rows) * At(stride), 0.0);
     const auto lower = [&](std::vector<int>& bound, int v) { Lower(paths, bound, v); };
-    for (size_t c = 0; c < columns.size(); ++c) {
-      SetIdentity<B>(X.data(), row_of[At(columns[c])], B * static_cast<int>(c), stride);
-      lower(first, columns[c]);
+    for (const auto& e : E) {
+      internal::AddRightHandSide(e, row_of, X.data(), stride);
+      lower(first, e.variable);
     }
     internal::ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
   }
@@ -78,20 +80,28 @@ struct ForwardSolution {
   }
 };
 
-// Sigma = Z' Z with all columns on all paths.
+// Columns of the identity.
 template <int B>
-MatrixX FewJointly(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, const std::vector<int>& variables) {
-  const ForwardSolution<B> solution(factor, paths, variables);
-  const int n = solution.stride;
+std::vector<RightHandSide<B>> Columns(const std::vector<int>& variables) {
+  std::vector<RightHandSide<B>> E;
+  for (const int v : variables) E.push_back({v, B * static_cast<int>(E.size()), Matrix<B, B>::Identity()});
+  return E;
+}
+
+// Z' Z with all columns on all paths.
+template <int B>
+MatrixX Gram(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>& E, Eigen::Index size) {
+  FactorPaths<B> paths(factor);
+  for (const auto& e : E) paths.Add(e.variable);
+  const ForwardSolution<B> Z(factor, paths, E);
+  const int n = Z.stride;
   MatrixX negative = MatrixX::Zero(n, n);
-  internal::Kernels().subtract_product(negative.data(), n, solution.X.data(), solution.X.data(), n, n, n,
-                                       solution.rows);
-  const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
-  MatrixX joint(size, size);
+  internal::Kernels().subtract_product(negative.data(), n, Z.X.data(), Z.X.data(), n, n, n, Z.rows);
+  MatrixX gram(size, size);
   for (Eigen::Index c = 0; c < size; ++c) {
-    for (Eigen::Index r = c; r < size; ++r) joint(r, c) = joint(c, r) = -negative(r, c);
+    for (Eigen::Index r = c; r < size; ++r) gram(r, c) = gram(c, r) = -negative(r, c);
   }
-  return joint;
+  return gram;
 }
 
 // Brings together what starts at path front k and what comes from below. Returns the first row that is not zero.
@@ -162,7 +172,7 @@ MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>&
   FactorPaths<B> paths(factor);
   for (const int v : columns) paths.Add(v);
   for (const int v : rows) paths.Add(v);
-  ForwardSolution<B> solution(factor, paths, columns);
+  ForwardSolution<B> solution(factor, paths, Columns<B>(columns));
   // Backward from the first row that is needed: an asked variable's, or that of a separator below.
   std::vector<int> needed(At(paths.Size()), internal::kNoRow);
   for (const int v : rows) solution.Lower(paths, needed, v);
@@ -187,14 +197,14 @@ MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>&
 
 template <int B>
 MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& variables) {
+  const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
+  if (variables.size() <= kFew) return Gram(factor, Columns<B>(variables), size);
   FactorPaths<B> paths(factor);
   for (const int v : variables) paths.Add(v);
-  if (variables.size() <= kFew) return FewJointly(factor, paths, variables);
   std::vector<Passing> passing(At(paths.Size()));
   for (size_t q = 0; q < variables.size(); ++q) {
     passing[At(paths.PositionOf(variables[q]))].starting.push_back(static_cast<int>(q));
   }
-  const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
   MatrixX joint = MatrixX::Zero(size, size);
   std::vector<double> gram;
   for (int k = paths.Size() - 1; k >= 0; --k) {
@@ -211,9 +221,17 @@ MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& 
   return joint;
 }
 
+template <int B>
+Matrix<B, B> CombinationCovariance(const BlockCholesky<B>& factor, const std::vector<CovarianceTerm<B>>& terms) {
+  std::vector<RightHandSide<B>> E;
+  for (const auto& term : terms) E.push_back({term.variable, 0, term.A.transpose()});
+  return Gram(factor, E, B);
+}
+
 #define TERSE_INSTANTIATE(B)                                                                                       \
   template MatrixX CovarianceBlocks<B>(const BlockCholesky<B>&, const std::vector<int>&, const std::vector<int>&); \
-  template MatrixX JointCovariance<B>(const BlockCholesky<B>&, const std::vector<int>&);
+  template MatrixX JointCovariance<B>(const BlockCholesky<B>&, const std::vector<int>&);                           \
+  template Matrix<B, B> CombinationCovariance<B>(const BlockCholesky<B>&, const std::vector<CovarianceTerm<B>>&);
 TERSE_INSTANTIATE(3)
 TERSE_INSTANTIATE(6)
 #undef TERSE_INSTANTIATE

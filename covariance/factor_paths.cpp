@@ -25,8 +25,7 @@ void SolvePaths(const FactorPaths<B>& paths, const std::vector<RightHandSide<B>>
     at = std::min(at, PivotRow<B>(paths[paths.PositionOf(v)], v));
   };
   for (const auto& e : E) {
-    Eigen::Map<Eigen::Matrix<double, B, B, Eigen::RowMajor>, 0, Eigen::OuterStride<>>(
-        X.data() + long{e.variable} * B * stride + e.column, Eigen::OuterStride<>(stride)) += e.block;
+    AddRightHandSide(e, row_of, X.data(), stride);
     lower(first, e.variable);
   }
   ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);

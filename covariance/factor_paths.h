@@ -133,6 +133,12 @@ struct RightHandSide {
   Matrix<B, B> block;
 };
 
+template <int B>
+void AddRightHandSide(const RightHandSide<B>& e, const std::vector<int>& row_of, double* X, int stride) {
+  Eigen::Map<Eigen::Matrix<double, B, B, Eigen::RowMajor>, 0, Eigen::OuterStride<>>(
+      X + At(row_of[At(e.variable)]) * At(stride) + At(e.column), Eigen::OuterStride<>(stride)) += e.block;
+}
+
 // X = H^-1 E for the pivots of the paths of E's variables: E is the sum of the blocks, X has the rows of variable v
 // from B v on. What was in X before does not matter, if it is finite. All must be among the paths.
 template <int B>

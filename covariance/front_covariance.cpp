@@ -87,6 +87,47 @@ void CopySeparators(const double* parent, int ldp, const std::vector<Run>& runs,
   }
 }
 
+// Sigma_PP = V V' + M K; rows r0.. of V begin at column r0. Squares on the diagonal are all that is needed if
+// diagonal_only.
+template <int B>
+void SetPivotBlock(int p, int s, bool diagonal_only, double* Sigma, int n, FrontScratch& scratch) {
+  const DenseKernels& kernels = Kernels();
+  const int ldv = Padded(p), chunk = diagonal_only ? kCorner : kChunk;
+  const double *V = scratch.V.data(), *K = scratch.K.data(), *M = scratch.M.data();
+  Reserve(scratch.corner, At(chunk) * At(p));
+  double* C = scratch.corner.data();
+  for (int r0 = 0; r0 < p; r0 += chunk) {
+    const int rows = std::min(chunk, ldv - r0), used = std::min(chunk, p - r0);
+    const int c0 = diagonal_only ? r0 : 0, columns = r0 + used - c0;
+    kernels.set_rectangle(C, rows, V + At(r0) * At(ldv) + At(r0), ldv, V + At(r0) * At(ldv) + At(c0), ldv, rows,
+                          columns, p - r0);
+    if (s > 0) kernels.add_rectangle(C, rows, M + r0, ldv, K + c0, ldv, rows, columns, s);
+    for (int c = 0; c < columns; ++c) {
+      for (int r = std::max(0, c0 + c - r0); r < used; ++r) {
+        const double value = C[At(c) * At(rows) + At(r)];
+        Sigma[At(c0 + c) * At(n) + At(r0 + r)] = Sigma[At(r0 + r) * At(n) + At(c0 + c)] = value;
+      }
+    }
+  }
+}
+
+// Sigma_PS = -M, and its transpose in squares that stay in the first-level cache.
+void SetCrossBlocks(int p, int s, const double* M, int ldv, double* Sigma, int n) {
+  for (int j = 0; j < s; ++j) {
+    const double* column = M + At(j) * At(ldv);
+    double* above = Sigma + At(p + j) * At(n);
+    for (int i = 0; i < p; ++i) above[i] = -column[i];
+  }
+  constexpr int kSquare = 16;
+  for (int j0 = 0; j0 < s; j0 += kSquare) {
+    const int end = std::min(s, j0 + kSquare);
+    for (int i = 0; i < p; ++i) {
+      double* column = Sigma + At(i) * At(n) + At(p);
+      for (int j = j0; j < end; ++j) column[j] = -M[At(j) * At(ldv) + At(i)];
+    }
+  }
+}
+
 }  // namespace
 
 template <int B>
@@ -124,38 +165,8 @@ void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const
       kernels.set_rectangle(M, ldv, K, ldv, Sigma + at(p, p), n, ldv, s, s);
     }
   }
-  // Sigma_PP = V V' + M K; rows r0.. of V begin at column r0. Squares on the diagonal are all that is needed if
-  // diagonal_only.
-  const int chunk = diagonal_only ? kCorner : kChunk;
-  Reserve(scratch.corner, At(chunk) * At(p));
-  for (int r0 = 0; r0 < p; r0 += chunk) {
-    const int rows = std::min(chunk, ldv - r0), used = std::min(chunk, p - r0);
-    const int c0 = diagonal_only ? r0 : 0, columns = r0 + used - c0;
-    double* C = scratch.corner.data();
-    kernels.set_rectangle(C, rows, V + At(r0) * At(ldv) + At(r0), ldv, V + At(r0) * At(ldv) + At(c0), ldv, rows,
-                          columns, p - r0);
-    if (s > 0) kernels.add_rectangle(C, rows, M + r0, ldv, K + c0, ldv, rows, columns, s);
-    for (int c = 0; c < columns; ++c) {
-      for (int r = std::max(0, c0 + c - r0); r < used; ++r) {
-        Sigma[at(r0 + r, c0 + c)] = Sigma[at(c0 + c, r0 + r)] = C[At(c) * At(rows) + At(r)];
-      }
-    }
-  }
-  if (diagonal_only) return;
-  for (int j = 0; j < s; ++j) {
-    const double* column = M + At(j) * At(ldv);
-    double* above = Sigma + at(0, p + j);
-    for (int i = 0; i < p; ++i) above[i] = -column[i];
-  }
-  // Its transpose, in squares that stay in the first-level cache.
-  constexpr int kSquare = 16;
-  for (int j0 = 0; j0 < s; j0 += kSquare) {
-    const int end = std::min(s, j0 + kSquare);
-    for (int i = 0; i < p; ++i) {
-      double* column = Sigma + at(p, i);
-      for (int j = j0; j < end; ++j) column[j] = -M[At(j) * At(ldv) + At(i)];
-    }
-  }
+  SetPivotBlock<B>(p, s, diagonal_only, Sigma, n, scratch);
+  if (!diagonal_only) SetCrossBlocks(p, s, M, ldv, Sigma, n);
 }
 
 // X_P = -K' X_S, for a front off the path of the column's variable.
@@ -170,7 +181,11 @@ void ExtendColumn(const typename BlockCholesky<B>::Front& front, const FrontScra
     const double* from = X.data() + At(front.separators[k]) * B * kStride;
     for (int i = 0; i < B * kStride; ++i) X_S[k * B * kStride + At(i)] = from[i];
   }
-  Kernels().set_rectangle(out, ldv, scratch.K.data(), ldv, X_S, kStride, ldv, B, s);
+  if (s > 0) {
+    Kernels().set_rectangle(out, ldv, scratch.K.data(), ldv, X_S, kStride, ldv, B, s);
+  } else {
+    std::fill_n(out, At(ldv) * B, 0.0);  // the root of another component
+  }
   for (std::size_t k = 0; k < front.pivots.size(); ++k) {
     double* to = X.data() + At(front.pivots[k]) * B * kStride;
     for (int r = 0; r < B; ++r) {

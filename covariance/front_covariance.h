@@ -47,6 +47,19 @@ double RecursionFlops(const typename BlockCholesky<B>::Front& front) {
   return 2 * p * p * p / 3 + 2 * s * p * p + 2 * s * s * p;
 }
 
+template <int B>
+double AllRecursionFlops(const BlockCholesky<B>& factor) {
+  double flops = 0;
+  std::vector<int> stack(factor.Roots());
+  while (!stack.empty()) {
+    const auto& front = factor.FrontAt(stack.back());
+    stack.pop_back();
+    flops += RecursionFlops<B>(front);
+    stack.insert(stack.end(), front.children.begin(), front.children.end());
+  }
+  return flops;
+}
+
 // A front on the way down from the root.
 struct RecursionLevel {
   int front = -1, n = 0;

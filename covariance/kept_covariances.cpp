@@ -31,8 +31,10 @@ constexpr double kBlockFlop = 2 * kSubstitutionFlop<B>;
 // Relative error of a block that is computed, and of C Y, which is a difference of such. Tests compare with what is
 // found.
 constexpr double kRounding = 1e-14, kCoreRounding = 1e-14;
-// Downdates after which a block is compared with the factor.
+// Downdates after which a block in turn is compared with the factor.
 constexpr long kSampled = 16;
+// Appended variables after which the column is solved for again: each one rounds all of it.
+constexpr int kMostAppended = 1000;
 
 template <int B>
 using RowBlock = Eigen::Map<Eigen::Matrix<double, B, Eigen::Dynamic, Eigen::RowMajor>, 0, Eigen::OuterStride<>>;
@@ -81,13 +83,14 @@ typename KeptCovariances<B>::Plan KeptCovariances<B>::MakePlan(const Changes& ch
   for (size_t k = 0; k < changes.size(); ++k) {
     const LinearFactor<B>& f = factor_->FactorAt(changes[k].slot);
     const int newest = std::max(f.first, f.second);
-    if (f.first < 0 || f.second < 0 || newest < old || changes[k].before.first >= 0) continue;
+    if (f.first < 0 || f.second < 0 || newest < old) continue;
     int& known = joining[At(newest - old)];
     // The one from the variable before, whose column is at hand.
     const bool better = known < 0 || std::min(f.first, f.second) == newest - 1;
     if (better && IsInvertible<B>(newest == f.first ? f.A_first : f.A_second)) known = static_cast<int>(k);
   }
   int newest = old - 1;  // whose column is at hand
+  plan.solve_column = appended_ + all - old > kMostAppended;
   for (size_t k = 0; k < joining.size(); ++k) {
     if (joining[k] < 0) return plan;
     is_joining[At(joining[k])] = 1;
@@ -95,9 +98,8 @@ typename KeptCovariances<B>::Plan KeptCovariances<B>::MakePlan(const Changes& ch
     if (std::min(plan.joining[k].first, plan.joining[k].second) != newest++) plan.solve_column = true;
   }
   for (size_t k = 0; k < changes.size(); ++k) {
-    if (is_joining[k] != 0) continue;
     const LinearFactor<B>& after = factor_->FactorAt(changes[k].slot);
-    if (after.first >= 0) plan.changes.push_back({after, 1});
+    if (after.first >= 0 && is_joining[k] == 0) plan.changes.push_back({after, 1});
     if (changes[k].before.first >= 0) plan.changes.push_back({changes[k].before, -1});
   }
   plan.possible = true;
@@ -113,7 +115,8 @@ void KeptCovariances<B>::Propagate(const Plan& plan) {
     const Matrix<B, B>& A_j = f.first == n ? f.A_second : f.A_first;
     const Matrix<B, B> inverse = A_n.inverse(), F = -inverse * A_j;
     const Matrix<B, B> Sigma = F * diagonals_[At(j)] * F.transpose() + inverse * inverse.transpose();
-    drift_.push_back(drift_[At(j)] + static_cast<float>(kRounding));
+    drift_.push_back(drift_[At(j)] + static_cast<float>(kRounding / A_n.partialPivLu().rcond()));
+    ++appended_;
     if (!plan.solve_column) {
       // Sigma_.n = Sigma_.j F'.
       Eigen::Matrix<double, B, kStride, Eigen::RowMajor> transform = Eigen::Matrix<double, B, kStride>::Zero();
@@ -129,10 +132,12 @@ void KeptCovariances<B>::Propagate(const Plan& plan) {
 // (S - C Y)^-1. For a single factor on the last variable all of I + C Sigma_old C', its equal, is known: a large
 // gain of information costs that no digits.
 template <int B>
-MatrixX KeptCovariances<B>::CoreOf(const std::vector<Change>& changes, const MatrixX& CY) const {
+MatrixX KeptCovariances<B>::CoreOf(const Plan& plan, const MatrixX& CY) const {
+  const std::vector<Change>& changes = plan.changes;
   const int last = static_cast<int>(diagonals_.size()) - 1;
   const LinearFactor<B>& f = changes.front().factor;
-  if (changes.size() == 1 && changes.front().sign > 0 && (f.second < 0 || f.first == last || f.second == last)) {
+  const bool known = f.second < 0 || (!plan.solve_column && (f.first == last || f.second == last));
+  if (changes.size() == 1 && changes.front().sign > 0 && known) {
     Matrix<B, B> U = Matrix<B, B>::Identity() + f.A_first * diagonals_[At(f.first)] * f.A_first.transpose();
     if (f.second >= 0) {
       const Matrix<B, B> cross = f.second == last ? Column(f.first) : Matrix<B, B>(Column(f.second).transpose());
@@ -173,6 +178,7 @@ bool KeptCovariances<B>::Downdate(const Plan& plan, CovarianceReport& report) {
       std::fill_n(X_.data() + At(r) * At(stride) + At(k), B, 0.0);
     }
   }
+  if (plan.solve_column) appended_ = 0;
   if (k == 0) return true;
   MatrixX CY(k, k);
   for (size_t a = 0; a < plan.changes.size(); ++a) {
@@ -181,7 +187,7 @@ bool KeptCovariances<B>::Downdate(const Plan& plan, CovarianceReport& report) {
     rows.noalias() = f.A_first * Y(f.first);
     if (f.second >= 0) rows.noalias() += f.A_second * Y(f.second);
   }
-  const MatrixX core = CoreOf(plan.changes, CY);
+  const MatrixX core = CoreOf(plan, CY);
   if (core.size() == 0 || !core.allFinite()) return false;
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   RowMajor M = RowMajor::Zero(stride, stride);
@@ -210,34 +216,39 @@ bool KeptCovariances<B>::Downdate(const Plan& plan, CovarianceReport& report) {
   return is_positive;
 }
 
-// Kept blocks against the factor, relative: those of the changed factors as far as they are in Y, and one that takes
-// its turn.
+// Kept blocks against the factor, relative, infinite if not a number: those of the last variable as far as they are in
+// Y; the block of a changed factor's other end; and one that takes its turn.
 template <int B>
-double KeptCovariances<B>::DriftOf(const std::vector<Change>& changes) const {
-  const int n = factor_->Variables(), last = n - 1;
+double KeptCovariances<B>::DriftOf(const Plan& plan) const {
+  const int last = factor_->Variables() - 1;
+  const int stride = Stride(B * static_cast<int>(plan.changes.size()) + (plan.solve_column ? B : 0));
   double drift = 0;
-  const int k = B * static_cast<int>(changes.size()), stride = Stride(k);
-  for (size_t a = 0; a < changes.size() && X_.size() >= At(n) * B * At(stride); ++a) {
-    const LinearFactor<B>& f = changes[a].factor;
+  const auto compare = [&](const MatrixX& kept, const MatrixX& found, double scale) {
+    const double difference = (kept - found).norm() / scale;
+    drift = std::max(drift, difference >= 0 ? difference : std::numeric_limits<double>::infinity());
+  };
+  const auto compare_block = [&](int v) {
+    const MatrixX fresh = JointCovariance(*factor_, {v});
+    compare(diagonals_[At(v)], fresh, fresh.norm());
+  };
+  for (size_t a = 0; a < plan.changes.size(); ++a) {
+    const LinearFactor<B>& f = plan.changes[a].factor;
     if (f.first != last && f.second != last) continue;
-    const Matrix<B, B> own = diagonals_[At(last)] * (f.first == last ? f.A_first : f.A_second).transpose();
-    Matrix<B, B> expected = own;
-    const int other = f.first == last ? f.second : f.first;
-    if (other >= 0) {
-      expected += Column(other).transpose() * (f.first == last ? f.A_second : f.A_first).transpose();
-    }
-    Matrix<B, B> found;
-    for (int r = 0; r < B; ++r) {
-      for (int c = 0; c < B; ++c) found(r, c) = X_[(At(last) * B + At(r)) * At(stride) + a * B + At(c)];
-    }
-    drift = std::max(drift, (expected - found).norm() / own.norm());
+    const bool is_first = f.first == last;
+    const int other = is_first ? f.second : f.first;
+    const Matrix<B, B> own = diagonals_[At(last)] * (is_first ? f.A_first : f.A_second).transpose();
+    Matrix<B, B> kept = own;
+    if (other >= 0) kept += Column(other).transpose() * (is_first ? f.A_second : f.A_first).transpose();
+    const Eigen::Map<const Eigen::Matrix<double, B, B, Eigen::RowMajor>, 0, Eigen::OuterStride<>> found(
+        X_.data() + At(last) * B * At(stride) + a * B, Eigen::OuterStride<>(stride));
+    compare(kept, found, own.norm());
   }
+  const LinearFactor<B>& first = plan.changes.front().factor;
+  compare_block(first.first != last || first.second < 0 ? first.first : first.second);
   if (downdates_ % kSampled == 0) {
     // Steps of the golden ratio: spread evenly over the variables however their number grows.
     const double turn = 0.6180339887498949 * static_cast<double>(downdates_ / kSampled);
-    const int v = std::min(last, static_cast<int>((turn - std::floor(turn)) * n));
-    const MatrixX fresh = JointCovariance(*factor_, {v});
-    drift = std::max(drift, (diagonals_[At(v)] - fresh).norm() / fresh.norm());
+    compare_block(std::min(last, static_cast<int>((turn - std::floor(turn)) * (last + 1))));
   }
   return drift;
 }
@@ -251,6 +262,7 @@ void KeptCovariances<B>::Recursion(CovarianceReport& report) {
   report.path = CovariancePath::kRecursion;
   report.columns = B;
   report.drift = kRounding;
+  appended_ = 0;
 }
 
 template <int B>
@@ -261,7 +273,7 @@ CovarianceReport KeptCovariances<B>::Update() {
   if (IsCurrent()) return report;
   const bool same_factor = identity_ == factor_->Identity() && !diagonals_.empty();
   const auto changes = same_factor ? factor_->ChangesSince(version_) : std::nullopt;
-  version_ = 0;  // until all is done
+  identity_ = 0;  // of no factor, until all is done
   Plan plan;
   if (changes && options_.method != CovarianceOptions::Method::kRecursion) plan = MakePlan(*changes);
   const bool only_appended = plan.possible && plan.changes.empty() && !plan.solve_column;
@@ -279,8 +291,10 @@ CovarianceReport KeptCovariances<B>::Update() {
       Propagate(plan);
       report.path = plan.changes.empty() ? CovariancePath::kPropagated : CovariancePath::kDowndated;
       report.flops = substitution + blocks;
+      for (const auto& f : plan.joining)
+        report.drift = std::max<double>(report.drift, drift_[At(std::max(f.first, f.second))]);
       done = report.columns == 0 || Downdate(plan, report);
-      if (done && !plan.changes.empty()) report.measured_drift = DriftOf(plan.changes);
+      if (done && !plan.changes.empty()) report.measured_drift = DriftOf(plan);
       report.refreshed = !done || !(std::max(report.drift, report.measured_drift) <= options_.max_drift);
       done = !report.refreshed;
     }
@@ -304,8 +318,9 @@ Matrix<B, B> KeptCovariances<B>::Column(int variable) const {
 
 template <int B>
 std::size_t KeptCovariances<B>::Bytes() const {
-  return diagonals_.capacity() * sizeof(diagonals_[0]) + drift_.capacity() * sizeof(float) +
-         (column_.capacity() + X_.capacity() + traces_.capacity()) * sizeof(double);
+  std::size_t numbers = column_.capacity() + X_.capacity() + traces_.capacity();
+  for (const RecursionLevel& level : recursion_.path) numbers += level.covariance.capacity();
+  return diagonals_.capacity() * sizeof(diagonals_[0]) + drift_.capacity() * sizeof(float) + numbers * sizeof(double);
 }
 
 template class KeptCovariances<3>;

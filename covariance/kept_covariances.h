@@ -51,8 +51,8 @@ class KeptCovariances {
   void Propagate(const Plan& plan);
   bool Downdate(const Plan& plan, CovarianceReport& report);
   void Recursion(CovarianceReport& report);
-  MatrixX CoreOf(const std::vector<Change>& changes, const MatrixX& CY) const;
-  double DriftOf(const std::vector<Change>& changes) const;
+  MatrixX CoreOf(const Plan& plan, const MatrixX& CY) const;
+  double DriftOf(const Plan& plan) const;
 
   const BlockCholesky<B>* factor_;
   CovarianceOptions options_;
@@ -61,6 +61,7 @@ class KeptCovariances {
   std::vector<double> column_;  // row-major, B rows of kStride per variable
   std::vector<float> drift_;    // by variable: bound on the relative error
   long downdates_ = 0;
+  int appended_ = 0;  // since the column was last solved for
   // Scratch that stays allocated.
   std::vector<double> X_;
   std::vector<double> traces_;

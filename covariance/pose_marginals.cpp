@@ -87,11 +87,10 @@ typename Pose::Jacobian PoseMarginals<Pose>::Relative(PoseId a, PoseId b,
                                                       const CovarianceConvention& convention) const {
   const int i = IndexOf(a), j = IndexOf(b);
   if (i == j) throw std::invalid_argument("a relative pose needs two distinct poses");
-  const MatrixX joint = JointCovariance(FactorOfAll(), {i, j});
   const Pose T_a_b = ValueAt(i).Inverse() * ValueAt(j);
+  // d_ab = d_b - Ad(T_a_b^-1) d_a.
   const Jacobian covariance =
-      RelativeCovariance<Pose>(T_a_b, joint.template topLeftCorner<B, B>(), joint.template topRightCorner<B, B>(),
-                               joint.template bottomRightCorner<B, B>());
+      CombinationCovariance<B>(FactorOfAll(), {{i, -Jacobian(T_a_b.Inverse().Adjoint())}, {j, Jacobian::Identity()}});
   return ConvertCovariance<Pose>(covariance, T_a_b, convention);
 }
 

@@ -1,7 +1,6 @@
 #include "terse/covariance/selected_inverse.h"
 
 #include <algorithm>
-#include <set>
 
 #include "front_covariance.h"
 #include "terse/covariance/covariance_blocks.h"
@@ -10,72 +9,76 @@ namespace terse {
 namespace {
 
 using internal::At;
-using internal::FrontScratch;
 using internal::PivotRow;
 using std::size_t;
 
 // Measured: a flop of single substitutions takes about as long as so many of the recursion's products.
 constexpr double kSolveFlop = 2.5;
+// From so many variables on, computing everything is considered.
+constexpr size_t kMany = 16;
 
-// Of forward substitution from one variable to the root.
+// Of forward substitution through one front.
 template <int B>
-double SolveFlops(const BlockCholesky<B>& factor, int variable) {
-  double flops = 0;
-  for (int f = factor.FrontOf(variable); f >= 0; f = factor.FrontAt(f).parent) {
-    const double p = factor.FrontAt(f).Columns(), rows = factor.FrontAt(f).Rows() - 1;
-    flops += 2.0 * B * p * (rows - p / 2);
-  }
-  return flops;
+double SolveFlops(const typename BlockCholesky<B>::Front& front) {
+  const double p = front.Columns(), rows = front.Rows() - 1;
+  return 2 * B * p * (rows - p / 2);
 }
 
 }  // namespace
 
-// The fronts from this one up to the first whose block is good, and the largest stamp up to the root.
+// Of all fronts from this one to the root; each is looked at once in a query.
 template <int B>
-std::vector<int> SelectedInverse<B>::StalePath(int front, std::uint64_t& stamp) const {
+const typename SelectedInverse<B>::Known& SelectedInverse<B>::Look(int front, Query& query) const {
   std::vector<int> path;
-  for (int f = front; f >= 0; f = factor_->FrontAt(f).parent) path.push_back(f);
-  stamp = 0;
-  size_t stale = path.size();
-  while (stale > 0) {
-    stamp = std::max(stamp, factor_->FrontAt(path[stale - 1]).stamp);
-    const auto it = cache_.find(path[stale - 1]);
-    if (it == cache_.end() || it->second->stamp < stamp) break;
-    --stale;
+  int f = front;
+  for (; f >= 0 && query.known.count(f) == 0; f = factor_->FrontAt(f).parent) path.push_back(f);
+  Known above = f >= 0 ? query.known[f] : Known();
+  for (auto it = path.rbegin(); it != path.rend(); ++it) {
+    const auto& at = factor_->FrontAt(*it);
+    const auto cached = cache_.find(*it);
+    above.stamp = std::max(above.stamp, at.stamp);
+    above.solve_flops += SolveFlops<B>(at);
+    const bool is_good = cached != cache_.end() && cached->second->stamp >= above.stamp;
+    if (!is_good) query.recursion_flops += internal::RecursionFlops<B>(at);
+    query.known[*it] = above;
   }
-  path.resize(stale);
-  for (size_t k = 0; k < stale; ++k) stamp = std::max(stamp, factor_->FrontAt(path[k]).stamp);
-  return path;
+  return query.known[front];
 }
 
+// The block of a front, from the cache or computed with what is missing above it.
 template <int B>
-typename SelectedInverse<B>::BlockPointer SelectedInverse<B>::Front(int id) const {
-  std::uint64_t stamp = 0;
-  const std::vector<int> path = StalePath(id, stamp);
-  FrontScratch scratch;
+typename SelectedInverse<B>::BlockPointer SelectedInverse<B>::Front(int id, Query& query) const {
+  std::vector<int> path;
   BlockPointer block;
-  const int above = path.empty() ? id : factor_->FrontAt(path.back()).parent;
-  if (above >= 0) block = cache_.at(above);
+  for (int f = id; f >= 0; f = factor_->FrontAt(f).parent) {
+    const auto cached = cache_.find(f);
+    if (cached != cache_.end() && cached->second->stamp >= Look(f, query).stamp) {
+      block = cached->second;
+      block->used = queries_;
+      break;
+    }
+    path.push_back(f);
+  }
+  std::vector<int> rows;
   for (auto it = path.rbegin(); it != path.rend(); ++it) {
     const auto& front = factor_->FrontAt(*it);
     const BlockPointer parent = block;
-    std::vector<int> rows;
     if (parent) {
-      internal::SetRows<B>(factor_->FrontAt(front.parent), factor_->Variables(), scratch);
-      internal::SeparatorRows<B>(front, scratch, rows);
+      internal::SetRows<B>(factor_->FrontAt(front.parent), factor_->Variables(), scratch_->front);
+      internal::SeparatorRows<B>(front, scratch_->front, rows);
     }
     block = std::make_shared<Block>();
     block->n = front.Rows() - 1;
     block->covariance.resize(At(block->n) * At(block->n));
     internal::ComputeFrontCovariance<B>(front, parent ? parent->covariance.data() : nullptr, parent ? parent->n : 0,
-                                        rows, false, block->covariance.data(), scratch);
+                                        rows, false, block->covariance.data(), scratch_->front);
     block->stamp = factor_->Version();
+    block->used = queries_;
     BlockPointer& kept = cache_[*it];
     if (kept) bytes_ -= kept->covariance.size() * sizeof(double);
     kept = block;
     bytes_ += block->covariance.size() * sizeof(double);
   }
-  for (int f = id; f >= 0; f = factor_->FrontAt(f).parent) cache_.at(f)->used = queries_;
   return block;
 }
 
@@ -103,28 +106,32 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
     cache_.clear();
     bytes_ = 0;
   }
-  if (method == DiagonalMethod::kCheapest && variables.size() == 1 && cache_.empty()) method = DiagonalMethod::kSolve;
-  if (method == DiagonalMethod::kCheapest) {
-    double solve = 0, recursion = 0;
-    std::set<int> stale;
-    for (const int v : variables) {
-      std::uint64_t stamp = 0;
-      for (const int f : StalePath(factor_->FrontOf(v), stamp)) {
-        if (stale.insert(f).second) recursion += internal::RecursionFlops<B>(factor_->FrontAt(f));
-      }
-      solve += SolveFlops(*factor_, v);
-    }
-    method = kSolveFlop * solve < recursion ? DiagonalMethod::kSolve : DiagonalMethod::kRecursion;
-  }
+  if (!scratch_) scratch_ = std::make_unique<internal::RecursionScratch>();
   std::vector<Matrix<B, B>> out;
   out.reserve(variables.size());
+  Query query;
+  if (method == DiagonalMethod::kCheapest && (variables.size() > 1 || !cache_.empty())) {
+    double solve = 0;
+    for (const int v : variables) solve += kSolveFlop * Look(factor_->FrontOf(v), query).solve_flops;
+    if (variables.size() > kMany) {
+      // One pass over everything beats the same paths again and again.
+      const double all = internal::AllRecursionFlops(*factor_);
+      if (all < solve && all < 2 * query.recursion_flops) {
+        std::vector<Matrix<B, B>> diagonals;
+        internal::ComputeAllDiagonals(*factor_, diagonals, *scratch_);
+        for (const int v : variables) out.push_back(diagonals[At(v)]);
+        return out;
+      }
+    }
+    if (query.recursion_flops < solve) method = DiagonalMethod::kRecursion;
+  }
   for (const int v : variables) {
-    if (method == DiagonalMethod::kSolve) {
+    if (method != DiagonalMethod::kRecursion) {
       out.push_back(JointCovariance(*factor_, {v}));
       continue;
     }
     const int id = factor_->FrontOf(v);
-    const BlockPointer block = Front(id);
+    const BlockPointer block = Front(id, query);
     const Eigen::Index at = PivotRow<B>(factor_->FrontAt(id), v);
     out.push_back(Eigen::Map<const MatrixX>(block->covariance.data(), block->n, block->n).template block<B, B>(at, at));
     Evict();

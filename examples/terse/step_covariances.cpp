@@ -19,7 +19,7 @@ void StepCovariances<Pose>::Add(int step) {
   const double start = SecondsNow();
   const CovarianceReport report = marginals_.Update();
   const typename Pose::Jacobian newest = marginals_.Newest(convention_);
-  const auto all = marginals_.AllMarginals();
+  const auto& all = marginals_.KeptMarginals();
   const double seconds = SecondsNow() - start;
   seconds_ += seconds;
   ++counts_[report.path];

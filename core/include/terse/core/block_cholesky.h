@@ -36,11 +36,17 @@ enum class FactorPath {
 };
 
 namespace internal {
-// A number that no other object has, nor the same object after it was assigned to.
+// A number that no other object has, nor the same object after it was assigned to or moved from.
 class Identity {
  public:
   Identity() : value_(Next()) {}
   Identity(const Identity&) : value_(Next()) {}
+  Identity(Identity&& other) noexcept : value_(Next()) { other.value_ = Next(); }
+  Identity& operator=(Identity&& other) noexcept {
+    value_ = Next();
+    other.value_ = Next();
+    return *this;
+  }
   Identity& operator=(const Identity&) {
     value_ = Next();
     return *this;
@@ -185,7 +191,7 @@ class BlockCholesky {
   void RevertFactors(const Undo& undo);
   void Attach(int slot);
   void Detach(int slot);
-  void Remember(Undo& undo) noexcept;
+  void Remember(const Undo& undo) noexcept;
   void RecountDiagonal(int variable);
   void RecountDiagonals(const Undo& undo);
   // block_cholesky_region.cpp: the touched part of the tree and its new elimination.

@@ -12,8 +12,19 @@ namespace terse {
 template <int B>
 MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows, const std::vector<int>& columns);
 
-// Sigma(variables, variables) = Z' Z, Z = L^-1 E: forward along the paths only, and positive semidefinite as it stands.
+// Sigma(variables, variables) = Z' Z, Z = L^-1 E: forward along the paths only.
 template <int B>
 MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& variables);
+
+template <int B>
+struct CovarianceTerm {
+  int variable;
+  Matrix<B, B> A;
+};
+
+// Covariance of the sum of A d over the terms, d the variables' perturbations. Z' Z as well: nothing cancels, however
+// small it is beside the covariances of the variables.
+template <int B>
+Matrix<B, B> CombinationCovariance(const BlockCholesky<B>& factor, const std::vector<CovarianceTerm<B>>& terms);
 
 }  // namespace terse

@@ -23,9 +23,10 @@ struct CovarianceOptions {
   enum class Method { kCheapest, kDowndate, kRecursion };
   Method method = Method::kCheapest;
   DiagonalMethod diagonal_method = DiagonalMethod::kCheapest;
-  // Of the fronts' blocks that queries leave for later ones. The least recently used go first.
+  // Of the fronts' blocks that queries leave for later ones. The least recently used go first. A query itself needs the
+  // blocks of one path to the root; with a small cache the next one computes them again.
   std::size_t cache_bytes = std::size_t{256} << 20;
-  // Relative error that repeated downdates may leave in a kept block before all are computed anew.
+  // When the drift of the kept blocks exceeds this, all are computed anew from the factor.
   double max_drift = 1e-9;
 };
 
@@ -36,9 +37,12 @@ struct CovarianceReport {
   double seconds = 0;
   double downdate_cost = 0;  // what the cost model expected, in flops of the recursion; 0: was not possible
   double recursion_cost = 0;
-  double drift = 0;           // bound on the relative error of the kept blocks due to downdates
-  double measured_drift = 0;  // the largest found where the factor was asked again
-  bool refreshed = false;     // recursion because the drift grew too large
+  // Relative, of the diagonal blocks: estimated from how far downdates have shrunk them since they were computed; and
+  // the largest difference found in blocks that were computed again. The second includes the rounding of the factor
+  // itself, which is large where variances are large beside those that the strongest information stands for.
+  double drift = 0;
+  double measured_drift = 0;
+  bool refreshed = false;  // recursion because the drift grew too large
 };
 
 }  // namespace terse

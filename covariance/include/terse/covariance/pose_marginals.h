@@ -32,10 +32,11 @@ class PoseMarginals {
   // Part of a block column of H^-1: Cov(d_id, d_of) for every id, in the order given.
   std::vector<Jacobian> Column(PoseId of, const std::vector<PoseId>& ids,
                                const CovarianceConvention& convention = {}) const;
-  // Of the stacked perturbations of distinct poses, kDof rows each in the order given. A Gram matrix: symmetric and
-  // positive semidefinite to the last bit.
+  // Of the stacked perturbations of poses, kDof rows each in the order given. Computed as a Gram matrix: symmetric,
+  // and positive semidefinite but for the rounding of its entries.
   MatrixX Joint(const std::vector<PoseId>& ids, const CovarianceConvention& convention = {}) const;
   // Of T_a_b = T_world_a^-1 T_world_b. kBody: T_a_b Exp(d); kWorld: Exp(e) T_a_b, that is, in a's frame.
+  // Computed as a Gram matrix, not as the difference of the poses' own covariances.
   Jacobian Relative(PoseId a, PoseId b, const CovarianceConvention& convention = {}) const;
 
  protected:

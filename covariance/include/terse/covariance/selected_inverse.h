@@ -16,6 +16,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <unordered_map>
 #include <vector>
 
 #include "terse/core/block_cholesky.h"
@@ -51,8 +52,17 @@ class SelectedInverse {
     std::uint64_t used = 0;
   };
   using BlockPointer = std::shared_ptr<Block>;
-  std::vector<int> StalePath(int front, std::uint64_t& stamp) const;
-  BlockPointer Front(int front) const;
+  // What a query has found out about a front.
+  struct Known {
+    std::uint64_t stamp = 0;  // of the last change from here to the root
+    double solve_flops = 0;   // of substitution from here to the root
+  };
+  struct Query {
+    std::unordered_map<int, Known> known;  // by front
+    double recursion_flops = 0;            // of the blocks that are not good
+  };
+  const Known& Look(int front, Query& query) const;
+  BlockPointer Front(int front, Query& query) const;
   void Evict() const;
 
   const BlockCholesky<B>* factor_;
