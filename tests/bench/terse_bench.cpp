@@ -13,6 +13,16 @@
 namespace terse::bench {
 namespace {
 
+bool IsIn(const std::vector<std::string>& list, const std::string& what) {
+  return std::find(list.begin(), list.end(), what) != list.end();
+}
+
+// What the aims for covariances are stated on.
+std::vector<std::string> GraphsOfAims(const std::string& part) {
+  if (part == "batch") return {"sphere2500", "torus3D", "city10000", "w10000_hogman"};
+  return {"parking-garage", "sphere2500", "manhattan", "kitti00_all_loops"};
+}
+
 struct Options {
   std::vector<std::string> graphs, only = {"incremental", "batch", "growth", "covariance"};
   std::vector<long> growth = {10000}, growth_local = {100000};
@@ -20,39 +30,29 @@ struct Options {
   int interval = 50, repeats = 3, candidates = 50, ceres_limit = 60;
   std::string json, markdown, update;
 
-  bool Wants(const std::string& what) const { return std::find(only.begin(), only.end(), what) != only.end(); }
+  bool Wants(const std::string& what) const { return IsIn(only, what); }
   // A part of "covariance".
   bool WantsCovariance(const std::string& part) const { return Wants("covariance") || Wants("covariance-" + part); }
-  // By default only on these graphs.
-  bool WantsCovariance(const std::string& part, const std::string& name,
-                       const std::vector<std::string>& defaults) const {
-    if (!WantsCovariance(part)) return false;
-    const std::vector<std::string>& on = graphs.empty() ? defaults : graphs;
-    return std::find(on.begin(), on.end(), name) != on.end();
-  }
-  bool WantsAnyGraph() const {
-    return Wants("batch") || Wants("incremental") || WantsCovariance("kept") || WantsCovariance("newest") ||
-           WantsCovariance("batch");
+  bool WantsCovariance(const std::string& part, const std::string& graph) const {
+    return WantsCovariance(part) && IsIn(graphs.empty() ? GraphsOfAims(part) : graphs, graph);
   }
   bool WantsGraph(const std::string& name) const {
-    return graphs.empty() || std::find(graphs.begin(), graphs.end(), name) != graphs.end();
+    const bool covariances =
+        WantsCovariance("kept", name) || WantsCovariance("newest", name) || WantsCovariance("batch", name);
+    return covariances || ((Wants("batch") || Wants("incremental")) && (graphs.empty() || IsIn(graphs, name)));
   }
 };
-
-// What the aims for covariances are stated on.
-const std::vector<std::string> kEveryStepGraphs = {"parking-garage", "sphere2500", "manhattan", "kitti00_all_loops"};
-const std::vector<std::string> kOptimumGraphs = {"sphere2500", "torus3D", "city10000", "w10000_hogman"};
 
 template <class Pose>
 void MeasureCovariances(const PoseGraph<Pose>& graph, const BenchGraph& source, const Options& options,
                         nlohmann::json& json) {
-  if (options.WantsCovariance("kept", source.name, kEveryStepGraphs)) {
+  if (options.WantsCovariance("kept", source.name)) {
     json["covariance-kept"] = RunCovarianceKept(graph, options.interval);
   }
-  if (options.WantsCovariance("newest", source.name, kEveryStepGraphs)) {
+  if (options.WantsCovariance("newest", source.name)) {
     json["covariance-newest"] = RunCovarianceNewest(graph, options.candidates);
   }
-  if (options.WantsCovariance("batch", source.name, kOptimumGraphs)) {
+  if (options.WantsCovariance("batch", source.name)) {
     json["covariance-batch"] = RunCovarianceBatch(graph, source.start, options.repeats, options.ceres_limit);
   }
 }
@@ -74,7 +74,7 @@ nlohmann::json Measure(const BenchGraph& source, const Options& options) {
 
 nlohmann::json MeasureAll(const Options& options) {
   nlohmann::json results = {{"machine", Machine()}, {"graphs", nlohmann::json::array()}};
-  for (const BenchGraph& source : options.WantsAnyGraph() ? BenchGraphs() : std::vector<BenchGraph>()) {
+  for (const BenchGraph& source : BenchGraphs()) {
     if (!options.WantsGraph(source.name)) continue;
     std::fprintf(stderr, "%s ...\n", source.name.c_str());
     results["graphs"].push_back(Measure(source, options));
