@@ -36,10 +36,11 @@ nlohmann::json RunCovarianceKept(const PoseGraph<Pose>& graph, int interval);
 template <class Pose>
 nlohmann::json RunCovarianceNewest(const PoseGraph<Pose>& graph, int candidates);
 
-// All diagonal blocks at the batch optimum beside one numeric factorisation, the fastest of `repeats` each; and by
-// Ceres, once, if it ends within `ceres_limit` seconds.
+// All diagonal blocks at the batch optimum beside one numeric factorisation, the fastest of ten each; and by
+// Ceres, once, if it ends within `ceres_limit` seconds of
+// processor time.
 template <class Pose>
-nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues start, int repeats, int ceres_limit);
+nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues start, int ceres_limit);
 
 // A generated world fed pose by pose; joint covariances of 2, 10 and 50 poses at equal distances along the path, the
 // newest among them, right after loop closures in the last fifth of the run.

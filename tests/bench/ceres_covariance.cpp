@@ -1,6 +1,7 @@
 #include "ceres_covariance.h"
 
 #include <ceres/covariance.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -67,7 +68,9 @@ std::optional<CeresCovarianceResult> CeresCovariance(const PoseGraph<Pose>& grap
   const pid_t child = fork();
   if (child < 0) throw std::runtime_error("no process for Ceres");
   if (child == 0) {
-    alarm(static_cast<unsigned>(limit_seconds));  // ends the process
+    const auto limit = static_cast<rlim_t>(limit_seconds);
+    const rlimit limits{limit, limit};
+    setrlimit(RLIMIT_CPU, &limits);  // ends the process
     const auto result = Compute(graph, values, ours);
     const bool sent = result && write(ends[1], &*result, sizeof *result) == sizeof *result;
     _exit(sent ? 0 : 1);

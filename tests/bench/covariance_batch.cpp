@@ -9,9 +9,14 @@
 #include "terse/covariance/marginals.h"
 
 namespace terse::bench {
+namespace {
+
+constexpr int kRepeats = 10;
+
+}  // namespace
 
 template <class Pose>
-nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues start, int repeats, int ceres_limit) {
+nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues start, int ceres_limit) {
   using Clock = std::chrono::steady_clock;
   const auto since = [](Clock::time_point begin) {
     return std::chrono::duration<double>(Clock::now() - begin).count();
@@ -20,7 +25,7 @@ nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues st
   const Marginals<Pose> marginals(graph, optimum.T_world_body, optimum.factor);
   std::vector<typename Pose::Jacobian> blocks = marginals.AllMarginals();
   double factor_seconds = std::numeric_limits<double>::infinity(), blocks_seconds = factor_seconds;
-  for (int k = 0; k < repeats; ++k) {
+  for (int k = 0; k < kRepeats; ++k) {
     const auto begin = Clock::now();
     if (!optimum.factor.Refactor()) throw std::runtime_error("not positive definite at the optimum");
     factor_seconds = std::min(factor_seconds, since(begin));
@@ -35,7 +40,7 @@ nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues st
   return json;
 }
 
-template nlohmann::json RunCovarianceBatch<SE2>(const PoseGraph<SE2>&, InitialValues, int, int);
-template nlohmann::json RunCovarianceBatch<SE3>(const PoseGraph<SE3>&, InitialValues, int, int);
+template nlohmann::json RunCovarianceBatch<SE2>(const PoseGraph<SE2>&, InitialValues, int);
+template nlohmann::json RunCovarianceBatch<SE3>(const PoseGraph<SE3>&, InitialValues, int);
 
 }  // namespace terse::bench
