@@ -37,8 +37,7 @@ template <class Pose>
 nlohmann::json RunCovarianceNewest(const PoseGraph<Pose>& graph, int candidates);
 
 // All diagonal blocks at the batch optimum beside one numeric factorisation, the fastest of ten each; and by
-// Ceres, once, if it ends within `ceres_limit` seconds of
-// processor time.
+// Ceres, once, if it ends within `ceres_limit` seconds of processor time.
 template <class Pose>
 nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues start, int ceres_limit);
 
