@@ -1,5 +1,6 @@
 #include "bench_report.h"
 
+#include <algorithm>
 #include <cstdio>
 #include <ctime>
 #include <fstream>
@@ -134,6 +135,80 @@ std::string GrowthTable(const nlohmann::json& runs) {
   return table.Text();
 }
 
+std::string Count(const nlohmann::json& value) { return std::to_string(value.get<long>()); }
+
+std::string KeptTable(const nlohmann::json& graphs) {
+  Table table({"graph", "poses", "solving s", "covariances s", "ratio", "all by recursion s", "faster by",
+               "steps propagated, downdated, recursion (refreshed)", "drift", "measured", "error", "CHOLMOD's"});
+  for (const auto& g : graphs) {
+    if (!g.contains("covariance-kept")) continue;
+    const auto& k = g["covariance-kept"];
+    const double solving = k["solve_seconds"], seconds = k["seconds"], recursion = k["recursion_seconds"];
+    std::string steps;
+    for (const char* path : {"propagated", "downdated", "recursion"}) {
+      steps += (steps.empty() ? "" : ", ") + std::to_string(k["steps"].value(path, 0));
+    }
+    table.Add({g["name"], Count(g["poses"]), Short(solving), Short(seconds), Format("%.2f", seconds / solving),
+               Short(recursion), Ratio(recursion / seconds), steps + " (" + Count(k["refreshed"]) + ")",
+               Format("%.0e", k["drift"]), Format("%.0e", k["measured_drift"]), Format("%.0e", k["error"]),
+               Format("%.0e", k["cholmod_error"])});
+  }
+  return table.Text();
+}
+
+std::string NewestTable(const nlohmann::json& graphs) {
+  Table table({"graph", "poses", "candidates", "solving s", "queries s", "share", "median ms", "worst ms"});
+  for (const auto& g : graphs) {
+    if (!g.contains("covariance-newest")) continue;
+    const auto& n = g["covariance-newest"];
+    const double solving = n["solve_seconds"], seconds = n["seconds"];
+    table.Add({g["name"], Count(g["poses"]), Count(n["candidates"]), Short(solving), Short(seconds),
+               Format("%.1f %%", 100 * seconds / solving), Short(n["median_ms"]), Short(n["worst_ms"])});
+  }
+  return table.Text();
+}
+
+std::string OptimumTable(const nlohmann::json& graphs) {
+  Table table(
+      {"graph", "poses", "factorisation ms", "covariances ms", "ratio", "Ceres s", "Ceres over ours", "difference"});
+  for (const auto& g : graphs) {
+    if (!g.contains("covariance-batch")) continue;
+    const auto& b = g["covariance-batch"];
+    const double factor = b["factor_seconds"], seconds = b["seconds"];
+    std::vector<std::string> row = {g["name"], Count(g["poses"]), Short(1e3 * factor), Short(1e3 * seconds),
+                                    Format("%.2f", seconds / factor)};
+    if (b.contains("ceres")) {
+      const double ceres = b["ceres"]["seconds"];
+      row.insert(row.end(), {Short(ceres), Format("%.0f", ceres / seconds), Format("%.0e", b["ceres"]["difference"])});
+    } else {
+      row.insert(row.end(), {"none in " + Count(b["ceres_limit"]), "-", "-"});
+    }
+    table.Add(row);
+  }
+  return table.Text();
+}
+
+std::string JointTable(const nlohmann::json& runs) {
+  Table table({"graph", "poses", "factors", "poses asked for", "median ms", "worst ms", "queries"});
+  for (const auto& run : runs) {
+    for (const auto& j : run["joint"]) {
+      table.Add({run["name"], Count(run["poses"]), Count(run["factors"]), Count(j["size"]), Short(j["median_ms"]),
+                 Short(j["worst_ms"]), Count(j["runs"])});
+    }
+  }
+  return table.Text();
+}
+
+bool Any(const nlohmann::json& graphs, const char* what) {
+  return std::any_of(graphs.begin(), graphs.end(), [&](const auto& g) { return g.contains(what); });
+}
+
+std::string MachineLine(const nlohmann::json& m) {
+  return m["processor"].get<std::string>() + ", " + std::to_string(m["cores"].get<int>()) +
+         " cores, one used; commit " + m["commit"].get<std::string>() + ", GCC " + m["compiler"].get<std::string>() +
+         ", BLAS of the baselines " + m["blas"].get<std::string>() + ", " + m["date"].get<std::string>() + ".\n";
+}
+
 }  // namespace
 
 nlohmann::json Machine() {
@@ -149,33 +224,33 @@ nlohmann::json Machine() {
 }
 
 std::string Tables(const nlohmann::json& results) {
-  const auto& m = results["machine"];
-  std::string out = m["processor"].get<std::string>() + ", " + std::to_string(m["cores"].get<int>()) +
-                    " cores, one used; commit " + m["commit"].get<std::string>() + ", GCC " +
-                    m["compiler"].get<std::string>() + ", BLAS of the baselines " + m["blas"].get<std::string>() +
-                    ", " + m["date"].get<std::string>() + ".\n";
   const auto& graphs = results["graphs"];
-  const auto any = [&](const char* what) {
-    for (const auto& g : graphs) {
-      if (g.contains(what)) return true;
-    }
-    return false;
-  };
-  if (any("incremental")) out += "\nIncremental:\n\n" + IncrementalTable(graphs);
-  if (any("batch")) out += "\nBatch:\n\n" + BatchTable(graphs);
+  std::string out;
+  if (Any(graphs, "incremental")) out += "\nIncremental:\n\n" + IncrementalTable(graphs);
+  if (Any(graphs, "batch")) out += "\nBatch:\n\n" + BatchTable(graphs);
   if (results.contains("growth")) out += "\nGrowth:\n\n" + GrowthTable(results["growth"]);
-  return out;
+  return out.empty() ? out : MachineLine(results["machine"]) + out;
 }
 
-void UpdateDocument(const std::string& path, const std::string& tables) {
+std::string CovarianceTables(const nlohmann::json& results) {
+  const auto& graphs = results["graphs"];
+  std::string out;
+  if (Any(graphs, "covariance-kept")) out += "\nAll kept at every step:\n\n" + KeptTable(graphs);
+  if (Any(graphs, "covariance-newest")) out += "\nNewest pose at every step:\n\n" + NewestTable(graphs);
+  if (Any(graphs, "covariance-batch")) out += "\nAll at the optimum:\n\n" + OptimumTable(graphs);
+  if (results.contains("covariance-joint")) out += "\nJoint:\n\n" + JointTable(results["covariance-joint"]);
+  return out.empty() ? out : MachineLine(results["machine"]) + out;
+}
+
+void UpdateDocument(const std::string& path, const std::string& tables, const std::string& mark) {
   std::ifstream in(path);
   std::stringstream buffer;
   buffer << in.rdbuf();
   std::string text = buffer.str();
-  const std::string open = "<!-- bench -->\n", close = "<!-- /bench -->";
+  const std::string open = "<!-- " + mark + " -->\n", close = "<!-- /" + mark + " -->";
   const std::size_t begin = text.find(open), end = text.find(close);
   if (!in || begin == std::string::npos || end == std::string::npos) {
-    throw std::runtime_error(path + ": cannot be read, or has no place for the tables");
+    throw std::runtime_error(path + ": cannot be read, or has no place <!-- " + mark + " --> for tables");
   }
   text.replace(begin + open.size(), end - begin - open.size(), "\n" + tables + "\n");
   std::ofstream(path) << text;

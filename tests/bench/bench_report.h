@@ -9,10 +9,11 @@ namespace terse::bench {
 // Processor, cores, commit, compiler, BLAS in use, date.
 nlohmann::json Machine();
 
-// Markdown.
+// Markdown; empty without results.
 std::string Tables(const nlohmann::json& results);
+std::string CovarianceTables(const nlohmann::json& results);
 
-// Puts the tables between the lines <!-- bench --> and <!-- /bench --> of a file. Throws std::runtime_error.
-void UpdateDocument(const std::string& path, const std::string& tables);
+// Puts the tables between the lines <!-- mark --> and <!-- /mark --> of a file. Throws std::runtime_error.
+void UpdateDocument(const std::string& path, const std::string& tables, const std::string& mark = "bench");
 
 }  // namespace terse::bench
