@@ -281,6 +281,124 @@ TYPED_TEST(IncrementalMarginalsTest, DriftIsBoundedAndRefreshed) {
   static_assert(B > 0);
 }
 
+// Components that only priors hold: a pose's column is zero outside its own.
+TYPED_TEST(IncrementalMarginalsTest, SeveralComponents) {
+  for (std::uint64_t seed = 81; seed <= 84; ++seed) {
+    Random rng(seed);
+    IncrementalSolver<TypeParam> solver(Exact());
+    const std::vector<Mode> modes = Modes();
+    std::vector<std::unique_ptr<IncrementalMarginals<TypeParam>>> marginals;
+    for (const Mode& mode : modes) {
+      marginals.push_back(std::make_unique<IncrementalMarginals<TypeParam>>(solver, mode.options));
+    }
+    const int components = 2 + static_cast<int>(seed % 3);
+    std::vector<std::vector<PoseId>> poses(static_cast<std::size_t>(components));
+    std::map<std::int64_t, TypeParam> truth;
+    for (int k = 0; k < 36; ++k) {
+      auto& chain = poses[rng() % poses.size()];
+      const PoseId id{k};
+      GraphUpdate<TypeParam> update;
+      const auto measure = [&](PoseId from) {
+        update.factors.push_back(RelativePoseFactor<TypeParam>{
+            from, id, truth[from.value].Inverse() * truth[id.value] * testing::RandomMotion<TypeParam>(rng, 0.02, 0.02),
+            testing::RandomInformation<TypeParam::kDof>(rng, 100)});
+      };
+      if (chain.empty()) {
+        truth[k] = testing::RandomMotion<TypeParam>(rng, 5, 1);
+        update.poses.push_back({id, truth[k]});
+        update.factors.push_back(
+            PosePriorFactor<TypeParam>{id, truth[k], testing::RandomInformation<TypeParam::kDof>(rng, 100)});
+      } else {
+        truth[k] = truth[chain.back().value] * testing::RandomMotion<TypeParam>(rng, 1, 0.3);
+        update.poses.push_back({id});
+        measure(chain.back());
+        if (chain.size() > 2 && rng() % 2 == 0) measure(chain[rng() % (chain.size() - 1)]);
+      }
+      chain.push_back(id);
+      solver.Update(update);
+      const Against<TypeParam> dense{solver};
+      for (std::size_t m = 0; m < modes.size(); ++m) {
+        SCOPED_TRACE(std::string(modes[m].name) + ", pose " + std::to_string(k) + ", seed " + std::to_string(seed));
+        if (modes[m].update) marginals[m]->Update();
+        dense.ExpectEqual(*marginals[m]);
+        if (this->HasFatalFailure()) return;
+      }
+    }
+    EXPECT_GT(solver.Factor().Roots().size(), 1u);
+  }
+}
+
+// The column is not at hand when a pose is joined to another than the newest: it is solved for, and the downdate holds.
+TYPED_TEST(IncrementalMarginalsTest, DowndatesWithASolvedColumn) {
+  Random rng(91);
+  IncrementalOptions still = Exact();
+  still.relinearize_interval = 1000000;
+  still.max_iterations = 1;
+  IncrementalSolver<TypeParam> solver(still);
+  CovarianceOptions options;
+  options.method = Update::kDowndate;
+  IncrementalMarginals<TypeParam> marginals(solver, options);
+  std::vector<TypeParam> truth = {TypeParam()};
+  GraphUpdate<TypeParam> first;
+  first.poses.push_back({PoseId{0}, truth[0]});
+  solver.Update(first);
+  marginals.Update();
+  int downdated = 0, refreshed = 0;
+  for (int k = 1; k <= 40; ++k) {
+    const std::size_t joined = rng() % truth.size();
+    truth.push_back(truth[joined] * testing::RandomMotion<TypeParam>(rng, 1, 0.3));
+    GraphUpdate<TypeParam> update;
+    update.poses.push_back({PoseId{k}});
+    for (std::size_t i = 0; i < 1 + rng() % 3; ++i) {
+      const std::size_t other = i == 0 ? joined : rng() % (truth.size() - 1);
+      update.factors.push_back(RelativePoseFactor<TypeParam>{PoseId{static_cast<std::int64_t>(other)}, PoseId{k},
+                                                             truth[other].Inverse() * truth.back(),
+                                                             testing::RandomInformation<TypeParam::kDof>(rng, 100)});
+    }
+    solver.Update(update);
+    const auto report = marginals.Update();
+    EXPECT_LT(report.measured_drift, 1e-10);
+    refreshed += report.refreshed ? 1 : 0;  // now and then, where the estimate is careful
+    downdated += report.path == CovariancePath::kDowndated ? 1 : 0;
+    Against<TypeParam>{solver}.ExpectEqual(marginals);
+    if (this->HasFatalFailure()) return;
+  }
+  EXPECT_GT(downdated, 10);
+  EXPECT_LT(refreshed, 4);
+}
+
+// Of many poses at once, whatever way is chosen; and of neighbours far from the anchor, whose own covariances are
+// large.
+TYPED_TEST(IncrementalMarginalsTest, LongChain) {
+  constexpr int kPoses = 3000;
+  IncrementalSolver<TypeParam> solver;
+  typename TypeParam::Tangent step = TypeParam::Tangent::Zero();
+  step[0] = 1;
+  step[TypeParam::kDof - 1] = 0.01;
+  typename TypeParam::Jacobian information = 1e6 * TypeParam::Jacobian::Identity();
+  GraphUpdate<TypeParam> update;
+  for (int k = 0; k < kPoses; ++k) {
+    update.poses.push_back({PoseId{k}});
+    if (k > 0) {
+      update.factors.push_back(
+          RelativePoseFactor<TypeParam>{PoseId{k - 1}, PoseId{k}, TypeParam().Retract(step), information});
+    }
+  }
+  solver.Update(update);
+  const IncrementalMarginals<TypeParam> marginals(solver);
+  std::vector<PoseId> ids;
+  for (int k = kPoses; k-- > 0;) ids.push_back(PoseId{k});
+  const auto all = marginals.AllMarginals();
+  const auto chosen = marginals.MarginalsOf(ids);
+  for (int k = 0; k < kPoses; ++k) {
+    ASSERT_LT(RelativeError(chosen[static_cast<std::size_t>(kPoses - 1 - k)], all[static_cast<std::size_t>(k)]), 1e-8);
+  }
+  // The measurement's own covariance; the joint blocks are 1e8 times larger.
+  const auto relative = marginals.Relative(PoseId{kPoses - 2}, PoseId{kPoses - 1});
+  EXPECT_LT(RelativeError(relative, information.inverse()), 1e-9);
+  EXPECT_EQ(relative, relative.transpose());
+}
+
 TYPED_TEST(IncrementalMarginalsTest, ConcurrentQueriesAgree) {
   Random rng(71);
   const auto random = testing::MakeRandomGraph<TypeParam>(rng, {80, 0.4, 0.02});
