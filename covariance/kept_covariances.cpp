@@ -33,6 +33,8 @@ constexpr double kBlockFlop = 2 * kSubstitutionFlop<B>;
 constexpr double kRounding = 1e-14, kCoreRounding = 1e-14;
 // Downdates after which a block in turn is compared with the factor.
 constexpr long kSampled = 16;
+// So many updates go by without a try after downdates that had to be refreshed.
+constexpr int kLongestPause = 63;
 // Appended variables after which the column is solved for again: each one rounds all of it.
 constexpr int kMostAppended = 1000;
 
@@ -276,6 +278,11 @@ CovarianceReport KeptCovariances<B>::Update() {
   identity_ = 0;  // of no factor, until all is done
   Plan plan;
   if (changes && options_.method != CovarianceOptions::Method::kRecursion) plan = MakePlan(*changes);
+  const bool cheapest = options_.method == CovarianceOptions::Method::kCheapest;
+  if (cheapest && pause_ > 0 && !plan.changes.empty()) {
+    --pause_;
+    plan.possible = false;
+  }
   const bool only_appended = plan.possible && plan.changes.empty() && !plan.solve_column;
   const TreeCosts tree = only_appended ? TreeCosts() : CostsOf(*factor_);
   report.recursion_cost = tree.recursion;
@@ -297,6 +304,9 @@ CovarianceReport KeptCovariances<B>::Update() {
       if (done && !plan.changes.empty()) report.measured_drift = DriftOf(plan);
       report.refreshed = !done || !(std::max(report.drift, report.measured_drift) <= options_.max_drift);
       done = !report.refreshed;
+      // Where the factor itself is not exact enough, downdates are refreshed again and again: better not to try.
+      if (!plan.changes.empty()) next_pause_ = done ? next_pause_ / 2 : std::min(2 * next_pause_ + 1, kLongestPause);
+      if (!done) pause_ = next_pause_;
     }
   }
   if (!done) {

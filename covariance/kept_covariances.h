@@ -61,7 +61,8 @@ class KeptCovariances {
   std::vector<double> column_;  // row-major, B rows of kStride per variable
   std::vector<float> drift_;    // by variable: bound on the relative error
   long downdates_ = 0;
-  int appended_ = 0;  // since the column was last solved for
+  int pause_ = 0, next_pause_ = 0;  // updates to take the recursion without trying a downdate
+  int appended_ = 0;                // since the column was last solved for
   // Scratch that stays allocated.
   std::vector<double> X_;
   std::vector<double> traces_;
