@@ -267,6 +267,24 @@ void KeptCovariances<B>::Recursion(CovarianceReport& report) {
   appended_ = 0;
 }
 
+// By propagation and a downdate. False if the drift, or the numbers, do not allow it.
+template <int B>
+bool KeptCovariances<B>::Follow(const Plan& plan, CovarianceReport& report) {
+  Propagate(plan);
+  report.path = plan.changes.empty() ? CovariancePath::kPropagated : CovariancePath::kDowndated;
+  for (const LinearFactor<B>& f : plan.joining) {
+    report.drift = std::max<double>(report.drift, drift_[At(std::max(f.first, f.second))]);
+  }
+  const bool possible = report.columns == 0 || Downdate(plan, report);
+  if (possible && !plan.changes.empty()) report.measured_drift = DriftOf(plan);
+  const bool done = possible && std::max(report.drift, report.measured_drift) <= options_.max_drift;
+  report.refreshed = !done;
+  // Where the factor itself is not exact enough, downdates are refreshed again and again: better not to try.
+  if (!plan.changes.empty()) next_pause_ = done ? next_pause_ / 2 : std::min(2 * next_pause_ + 1, kLongestPause);
+  if (!done) pause_ = next_pause_;
+  return done;
+}
+
 template <int B>
 CovarianceReport KeptCovariances<B>::Update() {
   const auto start = std::chrono::steady_clock::now();
@@ -276,10 +294,10 @@ CovarianceReport KeptCovariances<B>::Update() {
   const bool same_factor = identity_ == factor_->Identity() && !diagonals_.empty();
   const auto changes = same_factor ? factor_->ChangesSince(version_) : std::nullopt;
   identity_ = 0;  // of no factor, until all is done
+  using Method = CovarianceOptions::Method;
   Plan plan;
-  if (changes && options_.method != CovarianceOptions::Method::kRecursion) plan = MakePlan(*changes);
-  const bool cheapest = options_.method == CovarianceOptions::Method::kCheapest;
-  if (cheapest && pause_ > 0 && !plan.changes.empty()) {
+  if (changes && options_.method != Method::kRecursion) plan = MakePlan(*changes);
+  if (options_.method == Method::kCheapest && pause_ > 0 && !plan.changes.empty()) {
     --pause_;
     plan.possible = false;
   }
@@ -293,20 +311,10 @@ CovarianceReport KeptCovariances<B>::Update() {
     const double substitution = 2 * tree.entries * report.columns;
     const double blocks = 2 * n * B * k * (k + 2 * B) + (plan.solve_column ? 0 : 2 * n * B * B * B);
     report.downdate_cost = kSubstitutionFlop<B> * substitution + kBlockFlop<B> * blocks;
-    if (only_appended || report.downdate_cost < report.recursion_cost ||
-        options_.method == CovarianceOptions::Method::kDowndate) {
-      Propagate(plan);
-      report.path = plan.changes.empty() ? CovariancePath::kPropagated : CovariancePath::kDowndated;
+    const bool is_cheaper = only_appended || report.downdate_cost < report.recursion_cost;
+    if (is_cheaper || options_.method == Method::kDowndate) {
       report.flops = substitution + blocks;
-      for (const auto& f : plan.joining)
-        report.drift = std::max<double>(report.drift, drift_[At(std::max(f.first, f.second))]);
-      done = report.columns == 0 || Downdate(plan, report);
-      if (done && !plan.changes.empty()) report.measured_drift = DriftOf(plan);
-      report.refreshed = !done || !(std::max(report.drift, report.measured_drift) <= options_.max_drift);
-      done = !report.refreshed;
-      // Where the factor itself is not exact enough, downdates are refreshed again and again: better not to try.
-      if (!plan.changes.empty()) next_pause_ = done ? next_pause_ / 2 : std::min(2 * next_pause_ + 1, kLongestPause);
-      if (!done) pause_ = next_pause_;
+      done = Follow(plan, report);
     }
   }
   if (!done) {

@@ -50,6 +50,7 @@ class KeptCovariances {
   Plan MakePlan(const Changes& changes) const;
   void Propagate(const Plan& plan);
   bool Downdate(const Plan& plan, CovarianceReport& report);
+  bool Follow(const Plan& plan, CovarianceReport& report);
   void Recursion(CovarianceReport& report);
   MatrixX CoreOf(const Plan& plan, const MatrixX& CY) const;
   double DriftOf(const Plan& plan) const;
