@@ -60,7 +60,7 @@ class KeptCovariances {
   std::uint64_t version_ = 0, identity_ = 0;
   std::vector<Matrix<B, B>> diagonals_;
   std::vector<double> column_;  // row-major, B rows of kStride per variable
-  std::vector<float> drift_;    // by variable: bound on the relative error
+  std::vector<float> drift_;    // by variable: estimate of the relative error
   long downdates_ = 0;
   int pause_ = 0, next_pause_ = 0;  // updates to take the recursion without trying a downdate
   int appended_ = 0;                // since the column was last solved for
