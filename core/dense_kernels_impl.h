@@ -386,7 +386,8 @@ inline void ForLanes(int columns, const DoLanes& do_lanes) {
   }
 }
 
-struct ForwardLanes {
+template <bool kBackward>
+struct SubstitutionLanes {
   const double* l;
   long ld;
   int rows, pivots;
@@ -394,19 +395,11 @@ struct ForwardLanes {
   long stride;
   template <int W, int V>
   void operator()(int c) const {
-    Forward<W, V>(l, ld, rows, pivots, x + c, stride);
-  }
-};
-
-struct BackwardLanes {
-  const double* l;
-  long ld;
-  int rows, pivots;
-  double* x;
-  long stride;
-  template <int W, int V>
-  void operator()(int c) const {
-    Backward<W, V>(l, ld, rows, pivots, x + c, stride);
+    if constexpr (kBackward) {
+      Backward<W, V>(l, ld, rows, pivots, x + c, stride);
+    } else {
+      Forward<W, V>(l, ld, rows, pivots, x + c, stride);
+    }
   }
 };
 
@@ -477,11 +470,11 @@ void SetRectangle(double* c, int ldc, const double* a, int lda, const double* b,
 }
 
 void SubstituteForward(const double* panel, int ld, int rows, int pivots, double* x, int stride) {
-  ForLanes(stride, ForwardLanes{panel, ld, rows, pivots, x, stride});
+  ForLanes(stride, SubstitutionLanes<false>{panel, ld, rows, pivots, x, stride});
 }
 
 void SubstituteBackward(const double* panel, int ld, int rows, int pivots, double* x, int stride) {
-  ForLanes(stride, BackwardLanes{panel, ld, rows, pivots, x, stride});
+  ForLanes(stride, SubstitutionLanes<true>{panel, ld, rows, pivots, x, stride});
 }
 
 void SubtractRows(double* y, int ldy, const double* x, int ldx, const double* t, int ldt, int rows, int depth,
