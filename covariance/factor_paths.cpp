@@ -42,14 +42,9 @@ void SolveAll(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>
   SolvePaths(paths, E, factor.Variables(), X, stride);
   const std::vector<int>& row_of = RowScratch(factor.Variables());
   std::vector<double> scratch;
-  std::vector<int> stack(factor.Roots());
-  while (!stack.empty()) {
-    const int f = stack.back();
-    stack.pop_back();
-    const auto& front = factor.FrontAt(f);
-    if (paths.Find(f) < 0) BackwardFront<B>(front, 0, true, row_of, X.data(), stride, scratch);
-    stack.insert(stack.end(), front.children.begin(), front.children.end());
-  }
+  ForEachFront(factor, [&](int id, const auto& front) {
+    if (paths.Find(id) < 0) BackwardFront<B>(front, 0, true, row_of, X.data(), stride, scratch);
+  });
 }
 
 #define TERSE_INSTANTIATE(B)                                                                                          \

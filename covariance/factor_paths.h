@@ -54,6 +54,19 @@ class FactorPaths {
   std::vector<int> fronts_;
 };
 
+// All fronts, parents before children: visit(id, front).
+template <int B, class Visit>
+void ForEachFront(const BlockCholesky<B>& factor, const Visit& visit) {
+  std::vector<int> stack(factor.Roots());
+  while (!stack.empty()) {
+    const int id = stack.back();
+    stack.pop_back();
+    const auto& front = factor.FrontAt(id);
+    visit(id, front);
+    stack.insert(stack.end(), front.children.begin(), front.children.end());
+  }
+}
+
 // Scalars before a variable's in its front.
 template <int B>
 int PivotRow(const typename BlockCholesky<B>::Front& front, int variable) {

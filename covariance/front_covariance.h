@@ -50,13 +50,7 @@ double RecursionFlops(const typename BlockCholesky<B>::Front& front) {
 template <int B>
 double AllRecursionFlops(const BlockCholesky<B>& factor) {
   double flops = 0;
-  std::vector<int> stack(factor.Roots());
-  while (!stack.empty()) {
-    const auto& front = factor.FrontAt(stack.back());
-    stack.pop_back();
-    flops += RecursionFlops<B>(front);
-    stack.insert(stack.end(), front.children.begin(), front.children.end());
-  }
+  ForEachFront(factor, [&](int, const auto& front) { flops += RecursionFlops<B>(front); });
   return flops;
 }
 

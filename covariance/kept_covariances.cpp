@@ -53,15 +53,11 @@ struct TreeCosts {
 template <int B>
 TreeCosts CostsOf(const BlockCholesky<B>& factor) {
   TreeCosts costs;
-  std::vector<int> stack(factor.Roots());
-  while (!stack.empty()) {
-    const auto& front = factor.FrontAt(stack.back());
-    stack.pop_back();
+  ForEachFront(factor, [&](int, const auto& front) {
     const double p = front.Columns(), rows = front.Rows() - 1;
     costs.recursion += RecursionFlops<B>(front);
     costs.entries += p * (rows - p / 2);
-    stack.insert(stack.end(), front.children.begin(), front.children.end());
-  }
+  });
   return costs;
 }
 

@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <charconv>
-#include <cmath>
 #include <iostream>
 #include <set>
 
@@ -115,14 +114,14 @@ Point<Pose> FilePoint(const PoseGraph<Pose>& graph, const CovarianceCommandOptio
 // An object with the keys of `head` and the covariance, a row per line.
 void WriteObject(const nlohmann::ordered_json& head, const MatrixX& covariance, const std::string& indent,
                  std::ostream& out) {
+  RequireFinite(covariance);
   out << indent << "{\n";
   for (const auto& [key, value] : head.items()) out << indent << "  \"" << key << "\": " << value.dump() << ",\n";
   out << indent << "  \"covariance\": [";
   for (Eigen::Index r = 0; r < covariance.rows(); ++r) {
     out << (r > 0 ? ",\n" : "\n") << indent << "    [";
     for (Eigen::Index c = 0; c < covariance.cols(); ++c) {
-      const double entry = covariance(r, c);
-      out << (c > 0 ? ", " : "") << (std::isfinite(entry) ? Shortest(entry) : "null");
+      out << (c > 0 ? ", " : "") << Shortest(covariance(r, c));
     }
     out << ']';
   }

@@ -4,6 +4,7 @@
 
 #include "commands.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/error.h"
 
 namespace terse {
 namespace {
@@ -47,7 +48,12 @@ void WriteEntryNames(const std::vector<std::string>& tangent_names, std::ostream
   }
 }
 
+void RequireFinite(const MatrixX& covariance) {
+  if (!covariance.allFinite()) throw NumericalError("a covariance is too large for double precision");
+}
+
 void WriteEntries(const MatrixX& covariance, std::ostream& out) {
+  RequireFinite(covariance);
   for (Eigen::Index r = 0; r < covariance.rows(); ++r) {
     for (Eigen::Index c = 0; c < covariance.cols(); ++c) out << ',' << Shortest(covariance(r, c));
   }

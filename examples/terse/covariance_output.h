@@ -20,7 +20,9 @@ std::string Name(TangentOrder order);
 template <class Pose>
 std::vector<std::string> TangentNames(TangentOrder order);
 
-// Cells of a row, each after a comma: x_x, x_y, ...; the entries, row by row.
+// Throws NumericalError if it is not.
+void RequireFinite(const MatrixX& covariance);
+// Cells of a row, each after a comma: x_x, x_y, ...; the entries, row by row, which must be finite.
 void WriteEntryNames(const std::vector<std::string>& tangent_names, std::ostream& out);
 void WriteEntries(const MatrixX& covariance, std::ostream& out);
 

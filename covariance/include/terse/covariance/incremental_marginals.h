@@ -40,7 +40,7 @@ class IncrementalMarginals final : public PoseMarginals<Pose> {
   const std::vector<Jacobian>& KeptMarginals() const;
 
   // Bytes of the cache now, at most CovarianceOptions::cache_bytes between queries; and of what Update keeps: two
-  // blocks per pose, and as many right-hand sides per pose as downdates took at once.
+  // blocks per pose, as many right-hand sides per pose as downdates took at once, and the blocks of one path.
   std::size_t CacheBytes() const;
   std::size_t KeptBytes() const;
 

@@ -6,7 +6,7 @@
 //   Sigma_PP = L_PP^-T L_PP^-1 + K' Sigma_SS K,   Sigma_SP = -Sigma_SS K.
 // A block is good as long as no front on its path to the root has changed since (Front::stamp): a query computes what
 // is stale on the paths of the asked variables and keeps it for later ones. Few blocks after a change are cheaper by
-// two triangular solves; the choice is made by flops.
+// forward substitution, and many by one pass over everything; the choice is made by flops.
 //
 // Indices are variables of the factor and not checked. The factor must outlive the object. Concurrent queries are safe
 // (serialised); changing the factor during a query is not.
