@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numeric>
 #include <optional>
 #include <stdexcept>
@@ -28,7 +29,8 @@ class Problem {
  public:
   static constexpr int B = Pose::kDof;
 
-  Problem(const PoseGraph<Pose>& graph, int threads) : graph_(graph), threads_(threads) {
+  Problem(const PoseGraph<Pose>& graph, int threads, const BatchOptions* robust = nullptr)
+      : graph_(graph), threads_(threads) {
     if (threads < 1) throw std::invalid_argument("at least one thread is needed");
     if (graph.Poses().empty()) throw std::invalid_argument("the graph has no poses");
     terms_.reserve(graph.Factors().size());
@@ -39,6 +41,7 @@ class Problem {
       if (node.fixed && node.T_world_body) fixed_.emplace_back(FixedPosePrior<Pose>(node.id, *node.T_world_body));
     }
     for (const auto& prior : fixed_) Add(&prior);
+    if (robust != nullptr && robust->robust.kernel != RobustKernel::kNone) MakeRobust(*robust);
     anchor_ = Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph)));
   }
   Problem(const Problem&) = delete;
@@ -56,16 +59,56 @@ class Problem {
   std::vector<LinearFactor<B>> LinearizeTerms(const std::vector<Pose>& values) const {
     std::vector<LinearFactor<B>> out(terms_.size());
     internal::SpreadChunks(threads_, terms_.size(), kChunk, [&](size_t begin, size_t end) {
-      for (size_t k = begin; k < end; ++k) out[k] = LinearizeTerm(terms_[k], values);
+      for (size_t k = begin; k < end; ++k) out[k] = LinearizeTerm(k, values);
     });
     return out;
   }
 
-  // chi2 of the measurements, and what the fixed poses' priors add.
+  // chi2 of the measurements, and what the fixed poses' priors add; robust factors with their kernel.
   double Cost(const std::vector<Pose>& values, double& chi2) const {
-    chi2 = SumOfCosts(values, 0, counted_);
-    return chi2 + SumOfCosts(values, counted_, terms_.size());
+    const auto plain = [](size_t, double s) { return s; };
+    chi2 = SumOfCosts(values, 0, counted_, plain);
+    const double fixed = SumOfCosts(values, counted_, terms_.size(), plain);
+    if (!IsRobust()) return chi2 + fixed;
+    return SumOfCosts(values, 0, counted_, [&](size_t k, double s) { return TermCost(k, s); }) + fixed;
   }
+
+  bool IsRobust() const { return !is_robust_.empty(); }
+  // Without fixed poses.
+  double RobustCost(const std::vector<Pose>& values) const {
+    return SumOfCosts(values, 0, counted_, [&](size_t k, double s) {
+      return is_robust_[k] ? terse::RobustCost(kernel_, s, width_) : s;
+    });
+  }
+  double LargestRobustChi2(const std::vector<Pose>& values) const {
+    double largest = 0;
+    for (size_t k = 0; k < counted_; ++k) {
+      if (is_robust_[k]) largest = std::max(largest, TermChi2(k, values));
+    }
+    return largest;
+  }
+  std::vector<double> WeightsAt(const std::vector<Pose>& values) const {
+    std::vector<double> weights(counted_, 1.0);
+    for (size_t k = 0; k < counted_; ++k) {
+      if (is_robust_[k]) weights[k] = TermWeight(k, TermChi2(k, values));
+    }
+    return weights;
+  }
+  // kGnc: of its surrogate from now on, held until the next call. Returns how many changed by more than rounding.
+  int HoldWeights(const std::vector<Pose>& values, double mu) {
+    int changed = 0;
+    for (size_t k = 0; k < counted_; ++k) {
+      if (!is_robust_[k]) continue;
+      const double weight = GncWeight(TermChi2(k, values), width_, mu);
+      changed += std::abs(weight - held_[k]) > 1e-9 ? 1 : 0;
+      held_[k] = weight;
+    }
+    return changed;
+  }
+  bool HoldsOnlyZerosAndOnes() const {
+    return std::all_of(held_.begin(), held_.end(), [](double w) { return w == 0 || w == 1; });
+  }
+  double Width() const { return width_; }
 
  private:
   struct Term {
@@ -77,21 +120,55 @@ class Problem {
     const FactorPoses ends = PosesOf(*factor);
     terms_.push_back({factor, graph_.IndexOf(ends.first), graph_.IndexOf(ends.second), SquareRootInformation(*factor)});
   }
+  void MakeRobust(const BatchOptions& options) {
+    const std::string defect = FindDefect(options.robust);
+    if (!defect.empty()) throw std::invalid_argument("robust options: " + defect);
+    kernel_ = options.robust.kernel;
+    width_ = WidthOf(options.robust, B);
+    std::vector<FactorId> loops = options.robust_factors ? *options.robust_factors : LoopFactors(graph_);
+    std::sort(loops.begin(), loops.end());
+    is_robust_.assign(counted_, 0);
+    size_t k = 0;
+    for (const auto& node : graph_.Factors()) {
+      const bool listed = std::binary_search(loops.begin(), loops.end(), node.id);
+      is_robust_[k++] = listed && std::holds_alternative<RelativePoseFactor<Pose>>(node.factor);
+    }
+    if (kernel_ == RobustKernel::kGnc) held_.assign(counted_, 1.0);
+  }
+  double TermChi2(size_t k, const std::vector<Pose>& values) const {
+    const Term& t = terms_[k];
+    return FactorChi2(*t.factor, values[At(t.first)], values[At(t.second)]);
+  }
+  double TermWeight(size_t k, double s) const {
+    if (!IsRobust() || k >= counted_ || !is_robust_[k]) return 1;
+    return held_.empty() ? RobustWeight(kernel_, s, width_) : held_[k];
+  }
+  double TermCost(size_t k, double s) const {
+    if (!is_robust_[k]) return s;
+    return held_.empty() ? terse::RobustCost(kernel_, s, width_) : held_[k] * s;
+  }
   // Of terms [first, last): chunk by chunk, so that the number of threads does not change the sum.
-  double SumOfCosts(const std::vector<Pose>& values, size_t first, size_t last) const {
+  template <class CostOf>
+  double SumOfCosts(const std::vector<Pose>& values, size_t first, size_t last, const CostOf& cost_of) const {
     std::vector<double> sums((last - first + kChunk - 1) / kChunk, 0.0);
     internal::SpreadChunks(threads_, last - first, kChunk, [&](size_t begin, size_t end) {
       double sum = 0;
       for (size_t k = first + begin; k < first + end; ++k) {
-        const Term& t = terms_[k];
-        sum += FactorChi2(*t.factor, values[At(t.first)], values[At(t.second)]);
+        sum += cost_of(k, TermChi2(k, values));
       }
       sums[begin / kChunk] = sum;
     });
     return std::accumulate(sums.begin(), sums.end(), 0.0);
   }
-  static LinearFactor<B> LinearizeTerm(const Term& t, const std::vector<Pose>& values) {
-    return Linearize(*t.factor, t.W, t.first, t.second, values[At(t.first)], values[At(t.second)]);
+  LinearFactor<B> LinearizeTerm(size_t k, const std::vector<Pose>& values) const {
+    const Term& t = terms_[k];
+    LinearFactor<B> out = Linearize(*t.factor, t.W, t.first, t.second, values[At(t.first)], values[At(t.second)]);
+    if (!IsRobust()) return out;
+    const double root = std::sqrt(TermWeight(k, out.residual.squaredNorm()));
+    out.A_first *= root;
+    out.A_second *= root;
+    out.residual *= root;
+    return out;
   }
 
   const PoseGraph<Pose>& graph_;
@@ -100,6 +177,11 @@ class Problem {
   size_t counted_ = 0;  // terms that make up chi2
   std::vector<Factor<Pose>> fixed_;
   LinearFactor<B> anchor_;
+  // Of a robust run; else empty.
+  RobustKernel kernel_ = RobustKernel::kNone;
+  double width_ = 0;
+  std::vector<char> is_robust_;  // by term
+  std::vector<double> held_;     // kGnc: weights, by term
 };
 
 // Levenberg-Marquardt damping after Nielsen: zero while full steps work.
@@ -151,7 +233,7 @@ class Run {
   static constexpr int B = Pose::kDof;
 
   Run(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial, const BatchOptions& options)
-      : graph_(graph), problem_(graph, options.threads), options_(options) {
+      : graph_(graph), problem_(graph, options.threads, &options), options_(options), tolerance_(options.relative_tolerance) {
     if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
     result_.T_world_body = initial;
     result_.factor.SetThreads(options.threads);
@@ -162,8 +244,11 @@ class Run {
     if (!std::isfinite(cost_)) {
       Finish(Termination::kDiverged, "chi2 is not finite at the initial values");
     } else if (BuildFactor()) {
+      if (options_.robust.kernel == RobustKernel::kGnc) Graduate();
       Iterate();
     }
+    result_.robust_cost = problem_.IsRobust() ? problem_.RobustCost(result_.T_world_body) : result_.chi2;
+    if (problem_.IsRobust()) result_.weights = problem_.WeightsAt(result_.T_world_body);
     return std::move(result_);
   }
 
@@ -199,9 +284,10 @@ class Run {
     result_.factor = BlockCholesky<B>();
   }
 
-  void Iterate() {
-    while (!done_) {
-      if (result_.iterations >= options_.max_iterations) {
+  // At most so many steps.
+  void Descend(int steps) {
+    for (int k = 0; !done_; ++k) {
+      if (k >= steps) {
         Finish(Termination::kMaxIterations, "stopped after " + std::to_string(result_.iterations) + " iterations");
         break;
       }
@@ -211,6 +297,41 @@ class Run {
       }
     }
     if (best_) Accept(std::move(*best_));
+    best_.reset();
+  }
+
+  // Weights from here on, for a descent of their own.
+  int Reweigh(double mu) {
+    const int changed = problem_.HoldWeights(result_.T_world_body, mu);
+    cost_ = problem_.Cost(result_.T_world_body, result_.chi2);
+    linearised_here_ = factored_here_ = false;
+    climbing_ = 0;
+    damping_control_ = Damping();
+    return changed;
+  }
+
+  // Graduated non-convexity (Yang et al., RA-L 2020, Algorithm 1), a few steps per mu; then weights of zero and one in
+  // turn with the poses until they agree, which can only lower the cost.
+  void Graduate() {
+    tolerance_ = kStageTolerance;
+    double mu = GncStart(options_.graduate ? problem_.LargestRobustChi2(result_.T_world_body) : 0, problem_.Width());
+    for (; std::isfinite(mu) && result_.termination != Termination::kStopped; mu *= options_.robust.gnc_step) {
+      Reweigh(mu);
+      if (problem_.HoldsOnlyZerosAndOnes()) break;
+      Descend(kStageSteps);
+      done_ = false;
+    }
+    tolerance_ = options_.relative_tolerance;
+    for (int round = 0; round < kMostRounds && result_.termination != Termination::kStopped; ++round) {
+      if (Reweigh(std::numeric_limits<double>::infinity()) == 0 && round > 0) break;
+      done_ = false;
+      Descend(options_.max_iterations);
+    }
+    done_ = true;
+  }
+
+  void Iterate() {
+    Descend(options_.max_iterations);
     // The factor that is handed out is the undamped one at the final values.
     if (!factored_here_) factored_here_ = RefactorAt(0);
     result_.gradient_norm = LargestEntry(result_.factor.Gradient());
@@ -260,7 +381,7 @@ class Run {
     trial.cost = problem_.Cost(trial.values, trial.chi2);
     const double decrease = cost_ - trial.cost;
     // chi2 has no unit: below the constant it is rounding.
-    const double tolerance = options_.relative_tolerance * cost_ + 1e-16;
+    const double tolerance = tolerance_ * cost_ + 1e-16;
     const bool small = predicted <= tolerance;
     if (std::isfinite(trial.cost) && decrease >= 0) {
       Accept(std::move(trial));
@@ -278,7 +399,7 @@ class Run {
     if (best_ && ++climbing_ > kClimb) Retreat();
     if (!best_ && lambda == 0 && (small || (decrease >= 0 && decrease <= tolerance))) {
       Finish(Termination::kConverged,
-             "chi2 changes by less than " + Shortest(options_.relative_tolerance) + " of itself");
+             "chi2 changes by less than " + Shortest(tolerance_) + " of itself");
     }
   }
 
@@ -316,14 +437,17 @@ class Run {
   }
 
   static constexpr int kClimb = 4;
+  // Of the graduation, and how often the loops are told apart at most.
+  static constexpr int kStageSteps = 2, kMostRounds = 20;
+  static constexpr double kStageTolerance = 1e-3;
 
   const PoseGraph<Pose>& graph_;
-  const Problem<Pose> problem_;
+  Problem<Pose> problem_;
   const BatchOptions& options_;
   BatchResult<Pose> result_;
   Damping damping_control_;
   std::vector<double> damping_;
-  double cost_ = 0;
+  double cost_ = 0, tolerance_;
   std::optional<State> best_;  // where full steps began to climb
   int climbing_ = 0;
   bool done_ = false;

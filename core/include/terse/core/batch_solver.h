@@ -1,17 +1,19 @@
 #pragma once
 // Batch optimisation of a pose graph: Gauss-Newton and Levenberg-Marquardt on the block multifrontal factor.
 //
-// Minimises chi2(T) = sum r' Omega r over all poses, T <- T.Retract(d), from given initial values. The gauge is fixed
-// as gauge.h describes. Throws std::invalid_argument for misuse (sizes, an empty graph); everything numerical is
-// reported in the result.
+// Minimises chi2(T) = sum r' Omega r over all poses, T <- T.Retract(d), from given initial values; with a robust kernel
+// (robust.h) the loops' rho(r' Omega r) in place of theirs. The gauge is fixed as gauge.h describes. Throws
+// std::invalid_argument for misuse (sizes, an empty graph); everything numerical is reported in the result.
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "terse/core/block_cholesky.h"
 #include "terse/core/observability.h"
 #include "terse/core/pose_graph.h"
+#include "terse/core/robust.h"
 
 namespace terse {
 
@@ -22,12 +24,17 @@ enum class Method {
 
 struct BatchOptions {
   Method method = Method::kLevenbergMarquardt;
-  int max_iterations = 200;
-  // Converged when a step lowers chi2, or is predicted to, by less than this share of it.
+  int max_iterations = 200;  // with RobustKernel::kGnc those of the graduation come on top
+  // Converged when a step lowers the cost, or is predicted to, by less than this share of it.
   double relative_tolerance = 1e-11;
   int threads = 1;  // at most; the result is the same to the last bit for any number
   // Called after every iteration with its number and chi2. Return false to stop.
   std::function<bool(int iteration, double chi2)> progress;
+  RobustOptions robust;
+  // The relative factors that the kernel is for; absent: LoopFactors. The others must hold every pose.
+  std::optional<std::vector<FactorId>> robust_factors;
+  // kGnc: false if the initial values are good and only the loops that they contradict are to be left out.
+  bool graduate = true;
 };
 
 // kStalled: no step lowers chi2 any more although the gradient has not vanished, as at a jump of the angle residual.
@@ -45,13 +52,15 @@ struct BatchResult {
   std::string message;             // what happened, for people
   std::vector<Pose> T_world_body;  // by pose index; the best found
   int iterations = 0;
-  double chi2 = 0;           // at T_world_body, without gauge terms
+  double chi2 = 0;           // at T_world_body, without gauge terms; no kernel, no weights
+  double robust_cost = 0;    // the same with the kernel; chi2 if there is none
   double gradient_norm = 0;  // largest entry of A'r there
   double log_determinant = 0;
   PhaseSeconds seconds;
   // The factor at T_world_body (variable = pose index), for covariances; empty if not positive definite.
   BlockCholesky<Pose::kDof> factor;
   std::vector<FreeMotion> free_motions;  // what no measurement sees, if not positive definite
+  std::vector<double> weights;           // with a robust kernel: by position in the graph's factors; those of `factor`
   bool Converged() const { return termination == Termination::kConverged; }
 };
 
