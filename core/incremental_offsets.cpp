@@ -256,6 +256,7 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
     linearization_points_[At(v)] = T;
     factor_.ClearSolution(v);
     seen_[At(v)].setZero();
+    if (IsRobust()) touched_.push_back(v);
   }
   ++look_;
   for (const int slot : slots) {
@@ -333,6 +334,7 @@ void IncrementalSolver<Pose>::BackSubstitute(std::optional<Clock::time_point> de
   linear_cost_ = LinearMinimum();
   report.solve_flops += factor_.LastSolve().flops;
   report.variables_moved += static_cast<int>(moved.size());
+  if (IsRobust()) touched_.insert(touched_.end(), moved.begin(), moved.end());
   const double worth = kWorthLooking * options_.relinearize_tolerance * CostUnit();
   for (const int v : moved) {
     const double possible = PossibleError(v);

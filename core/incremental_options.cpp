@@ -21,7 +21,7 @@ std::string FindDefect(const IncrementalOptions& options) {
   if (std::isnan(options.gate_threshold)) return "the gate's threshold is not a number";
   if (!is_size(options.relinearize_tolerance) || !is_size(options.relinearize_metres) ||
       !is_size(options.relinearize_radians) || !is_size(options.step_metres) || !is_size(options.step_radians) ||
-      !is_size(options.propagation_tolerance)) {
+      !is_size(options.propagation_tolerance) || !is_size(options.reweigh_tolerance)) {
     return "tolerances must not be negative";
   }
   if (options.relinearize_interval < 1) return "the relinearisation interval must be at least 1";
@@ -29,7 +29,7 @@ std::string FindDefect(const IncrementalOptions& options) {
   if (options.threads < 1) return "at least one thread is needed";
   if (!is_size(options.budget_seconds)) return "the budget must not be negative";
   if (options.anchor_information && !(*options.anchor_information > 0)) return "the anchor must be positive";
-  return "";
+  return FindDefect(options.robust);
 }
 
 IncrementalOptions PolicyOptions(Policy policy) {

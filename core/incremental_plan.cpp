@@ -110,10 +110,13 @@ void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>& update, Plan&
   const auto point = [&](int v) -> const Pose& {
     return v < old ? linearization_points_[At(v)] : plan.new_values[At(v - old)];
   };
-  for (const auto& factor : update.factors) {
+  if (IsRobust()) FindLoops(update, plan);
+  for (size_t k = 0; k < update.factors.size(); ++k) {
+    const terse::Factor<Pose>& factor = update.factors[k];
     const FactorPoses ends = PosesOf(factor);
     const int first = plan.IndexOf(ends.first, graph_), second = plan.IndexOf(ends.second, graph_);
     plan.W.push_back(SquareRootInformation(factor));
+    if (plan.IsLoop(k)) continue;
     plan.changes.added.push_back(Linearize(factor, plan.W.back(), first, second, point(first), point(second)));
   }
   for (size_t k = 0; k < update.poses.size(); ++k) {
@@ -122,7 +125,9 @@ void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>& update, Plan&
     const Pose& T = plan.new_values[k];
     plan.changes.added.push_back(Linearize<Pose>(FixedPosePrior<Pose>(update.poses[k].id, T), index, index, T, T));
   }
-  for (const FactorId id : update.removed) plan.changes.removed.push_back(slot_of_factor_[At(id)]);
+  for (const FactorId id : update.removed) {
+    if (slot_of_factor_[At(id)] >= 0) plan.changes.removed.push_back(slot_of_factor_[At(id)]);
+  }
   plan.changes.new_variables = static_cast<int>(update.poses.size());
 }
 
@@ -156,17 +161,49 @@ void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>& update, Plan& 
   }
 }
 
+// The slot's factor is `id` (-1: a fixed pose's prior or the anchor).
+template <class Pose>
+void IncrementalSolver<Pose>::BindSlot(int slot, FactorId id, const Matrix<B, B>& W) {
+  if (At(slot) >= factor_of_slot_.size()) {
+    factor_of_slot_.resize(At(slot) + 1);
+    error_of_slot_.resize(At(slot) + 1, 0.0);
+    is_suspect_.resize(At(slot) + 1, 0);
+    is_listed_.resize(At(slot) + 1, 0);
+    W_of_slot_.resize(At(slot) + 1);
+  }
+  if (IsRobust() && At(slot) >= is_loop_.size()) {
+    is_loop_.resize(At(slot) + 1, 0);
+    weight_of_slot_.resize(At(slot) + 1, 1.0);
+    judged_chi2_.resize(At(slot) + 1, 0.0);
+  }
+  factor_of_slot_[At(slot)] = id;
+  if (id.value < 0) return;
+  W_of_slot_[At(slot)] = W;
+  slot_of_factor_[At(id)] = slot;
+  measured_scalars_ += Dimension(graph_.FindFactor(id)->factor);
+}
+
+// Before the factor goes, or waits outside.
+template <class Pose>
+void IncrementalSolver<Pose>::ReleaseSlot(FactorId id) {
+  const size_t slot = At(std::exchange(slot_of_factor_[At(id)], -1));
+  measured_scalars_ -= Dimension(graph_.FindFactor(id)->factor);
+  error_sum_ -= std::exchange(error_of_slot_[slot], 0.0);
+  factor_of_slot_[slot] = FactorId();
+  if (!IsRobust()) return;
+  is_loop_[slot] = 0;
+  weight_of_slot_[slot] = 1;
+}
+
 // Nothing here fails short of memory: everything was validated, and the factor holds the change already.
 template <class Pose>
 void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan& plan, StepReport& report,
                                      const std::vector<int>& added_slots) {
   ++updates_;
   for (const FactorId id : update.removed) {
-    measured_scalars_ -= Dimension(graph_.FindFactor(id)->factor);
+    if (slot_of_factor_[At(id)] >= 0) ReleaseSlot(id);
     graph_.RemoveFactor(id);
-    error_sum_ -= std::exchange(error_of_slot_[At(slot_of_factor_[At(id)])], 0.0);
-    factor_of_slot_[At(slot_of_factor_[At(id)])] = FactorId();
-    slot_of_factor_[At(id)] = -1;
+    Unpark(id);
   }
   for (size_t k = 0; k < update.poses.size(); ++k) {
     graph_.AddPose(update.poses[k].id, plan.new_values[k]);
@@ -177,27 +214,15 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
     remembered_in_.push_back(0);
     seen_.push_back(Vector<B>::Zero());
   }
-  const auto bind = [&](int slot, FactorId id) {
-    if (At(slot) >= factor_of_slot_.size()) {
-      factor_of_slot_.resize(At(slot) + 1);
-      error_of_slot_.resize(At(slot) + 1, 0.0);
-      is_suspect_.resize(At(slot) + 1, 0);
-      is_listed_.resize(At(slot) + 1, 0);
-      W_of_slot_.resize(At(slot) + 1);
-    }
-    factor_of_slot_[At(slot)] = id;
-  };
-  // Priors of fixed poses and the anchor have slots, but no id.
-  for (size_t k = update.factors.size(); k < added_slots.size(); ++k) bind(added_slots[k], FactorId());
+  size_t slots = 0;
   for (size_t k = 0; k < update.factors.size(); ++k) {
     const FactorId id = graph_.AddFactor(update.factors[k]);
     report.factor_ids.push_back(id);
-    measured_scalars_ += Dimension(update.factors[k]);
-    bind(added_slots[k], id);
-    W_of_slot_[At(added_slots[k])] = plan.W[k];
     slot_of_factor_.resize(At(id) + 1, -1);
-    slot_of_factor_[At(id)] = added_slots[k];
+    if (!plan.IsLoop(k)) BindSlot(added_slots[slots++], id, plan.W[k]);
   }
+  // Priors of fixed poses and the anchor have slots, but no id.
+  for (; slots < added_slots.size(); ++slots) BindSlot(added_slots[slots], FactorId(), Matrix<B, B>::Zero());
   absolute_ = plan.absolute;
   anchor_information_ = plan.anchor_information;
   if (plan.adds_anchor) anchor_slot_ = added_slots.back();
@@ -208,6 +233,8 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
   template void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>&, Plan&) const;       \
   template void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>&, Plan&) const;        \
   template void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>&, Plan&) const;         \
+  template void IncrementalSolver<Pose>::BindSlot(int, FactorId, const Matrix<B, B>&);              \
+  template void IncrementalSolver<Pose>::ReleaseSlot(FactorId);                                     \
   template void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>&, const Plan&, StepReport&, \
                                                 const std::vector<int>&);
 TERSE_INSTANTIATE(SE2)

@@ -13,10 +13,12 @@ struct IncrementalSolver<Pose>::Plan {
   std::vector<Pose> new_values;  // in the order of update.poses
   typename BlockCholesky<B>::Changes changes;
   std::vector<Matrix<B, B>> W;  // of update.factors
+  std::vector<char> is_loop;    // by update.factors; with a robust kernel, else empty. Loops are not in `changes`
   bool adds_anchor = false;
   AbsoluteFactors absolute;
   Vector<B> anchor_information;
 
+  bool IsLoop(std::size_t k) const { return !is_loop.empty() && is_loop[k] != 0; }
   int IndexOf(PoseId id, const PoseGraph<Pose>& graph) const {
     const auto it = new_index.find(id);
     return it != new_index.end() ? it->second : graph.IndexOf(id);

@@ -24,6 +24,7 @@ IncrementalSolver<Pose>::IncrementalSolver(const IncrementalOptions& options) : 
   const std::string defect = FindDefect(options);
   if (!defect.empty()) throw std::invalid_argument("incremental options: " + defect);
   factor_.SetThreads(options.threads);
+  if (IsRobust()) width_ = WidthOf(options.robust, B);
 }
 
 template <class Pose>
@@ -40,6 +41,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   }
   const GateValues before = ValuesForGate();
   AddToFactor(update, plan, report);
+  if (IsRobust()) AdmitNewLoops(plan, report);
   DecideGate(update, plan, before, report);
   const bool report_cost = options_.report_cost && options_.carry == Carry::kOffset;
   if (report_cost) report.actual_decrease = TimedChi2(report);
@@ -52,6 +54,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   } else {
     OptimizeOffsets(start, report);
   }
+  if (IsRobust()) ReviewLoops(start, report);
   if (report_cost) report.actual_decrease -= TimedChi2(report);
   report.seconds += std::chrono::duration<double>(Clock::now() - start).count();
   return report;
@@ -147,8 +150,9 @@ double IncrementalSolver<Pose>::Chi2() const {
 
 template <class Pose>
 BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
-  BatchResult<Pose> result = SolveBatch(graph_, Estimates(), options);
+  BatchResult<Pose> result = IsRobust() ? SolveRobustBatch(options) : SolveBatch(graph_, Estimates(), options);
   if (result.termination == Termination::kNotPositiveDefinite) return result;
+  if (IsRobust()) TakeWeights(result.weights);
   // The factor of this solver moves to the optimum too: every linearisation point changes.
   typename BlockCholesky<B>::Changes changes;
   const auto point = [&](int v) -> const Pose& { return result.T_world_body[At(v)]; };

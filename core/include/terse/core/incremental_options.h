@@ -12,6 +12,7 @@
 
 #include "terse/core/block_cholesky.h"
 #include "terse/core/pose_graph.h"
+#include "terse/core/robust.h"
 
 namespace terse {
 
@@ -78,6 +79,11 @@ struct IncrementalOptions {
   // Information of the proximal anchor on every tangent direction of the first pose, whatever priors there are.
   // Absent: as gauge.h describes.
   std::optional<double> anchor_information;
+
+  // The kernel for loops that may be wrong. Its weights are brought up to date where that changes a factor's cost by
+  // more than this share of chi2.
+  RobustOptions robust;
+  double reweigh_tolerance = 1e-4;
 
   // At most, and only where a step's work is large; the result is the same to the last bit for any number.
   int threads = 1;

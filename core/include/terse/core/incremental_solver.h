@@ -5,6 +5,10 @@
 // whether the map is optimised for them, the options how (incremental_options.h). The gauge is fixed as gauge.h
 // describes.
 //
+// With a robust kernel (robust.h) loops enter with the weight that their innovation deserves, and their weights follow
+// the estimate; with RobustKernel::kGnc they are in or out of the factor, judged again where the estimate changes
+// (incremental_robust.cpp).
+//
 // A new pose starts at the value given with it, else at that of its pose prior, else at T_estimate * T_from_to along
 // its first factor to a known pose; the very first one may have none of these and starts at the identity. Update is
 // atomic: if it throws, the solver is as before. Not thread-safe for writing; const functions may run concurrently.
@@ -48,7 +52,9 @@ class IncrementalSolver {
   StepReport Update(const GraphUpdate<Pose>& update);
 
   // Iterates to the batch optimum, which becomes the linearisation point; where the system turns out not to be positive
-  // definite, nothing changes. The result's poses are in the order of Graph().Poses().
+  // definite, nothing changes. The result's poses are in the order of Graph().Poses(). The kernel and the loops are
+  // this solver's, whatever `options` says; kGnc starts from the loops that are in, and graduates all of them besides
+  // if any is out, the lower cost of both winning.
   BatchResult<Pose> Finish(const BatchOptions& options = {});
 
   // Poses and living factors; the pose values in it are the initial ones.
@@ -58,7 +64,12 @@ class IncrementalSolver {
   Pose EstimateAt(int index) const;
   std::vector<Pose> Estimates() const;  // by pose index
 
-  double Chi2() const;                                                // at the estimate, O(factors)
+  // At the estimate, O(factors): of all factors, whatever their weights; and with the kernel.
+  double Chi2() const;
+  double RobustChi2() const;
+  // With which a factor takes part now: 1 without a kernel and for what is no loop. Throws std::invalid_argument if the
+  // factor is unknown.
+  double WeightOf(FactorId id) const;
   double LogDeterminant() const { return factor_.LogDeterminant(); }  // ln det H at the linearisation point
   // The factor (variable = pose index) at LinearizationPoints().
   const BlockCholesky<B>& Factor() const { return factor_; }
@@ -70,6 +81,8 @@ class IncrementalSolver {
   using PointOf = std::function<const Pose&(int)>;
   using Replacements = std::vector<std::pair<int, LinearFactor<B>>>;
   struct Plan;
+  struct Loop;
+  using Loops = std::vector<Loop>;
   struct GateValues {
     double log_determinant = 0;
     int variables = 0;
@@ -79,6 +92,8 @@ class IncrementalSolver {
   void PlanNewPoses(const GraphUpdate<Pose>& update, Plan& plan) const;
   void PlanFactors(const GraphUpdate<Pose>& update, Plan& plan) const;
   void PlanAnchor(const GraphUpdate<Pose>& update, Plan& plan) const;
+  void BindSlot(int slot, FactorId id, const Matrix<B, B>& W);
+  void ReleaseSlot(FactorId id);
   AbsoluteFactors AbsoluteFactorsAfter(const GraphUpdate<Pose>& update) const;
   void Commit(const GraphUpdate<Pose>& update, const Plan& plan, StepReport& report,
               const std::vector<int>& added_slots);
@@ -124,6 +139,28 @@ class IncrementalSolver {
   bool RelinearizeWorst(double times, std::optional<Clock::time_point> deadline, StepReport& report);
   void OptimizeOffsets(Clock::time_point start, StepReport& report);
   void BackSubstitute(std::optional<Clock::time_point> deadline, StepReport& report);
+  // incremental_robust.cpp
+  bool IsRobust() const { return options_.robust.kernel != RobustKernel::kNone; }
+  void FindLoops(const GraphUpdate<Pose>& update, Plan& plan) const;
+  Loop LoopOf(FactorId id) const;
+  double LoopChi2(FactorId id) const;
+  Vector<Pose::kDof> LinearResidual(int slot) const;
+  double WeightOnArrival(Loop& loop) const;
+  bool ChangeLoops(const Loops& in, const Loops& out, StepReport& report);
+  void Park(FactorId id, double chi2);
+  void Unpark(FactorId id);
+  void AdmitNewLoops(Plan& plan, StepReport& report);
+  bool AdmitLoops(const Loops& loops, StepReport& report);
+  void AddContestants(Loops& contest) const;
+  bool JudgeLoops(Loops& loops, StepReport& report);
+  std::vector<int> TouchedLoops();
+  bool ReviewMembers(StepReport& report);
+  bool ReviewWeights(StepReport& report);
+  void SetWeight(int slot, double weight);
+  bool RetryParked(StepReport& report);
+  void ReviewLoops(Clock::time_point start, StepReport& report);
+  BatchResult<Pose> SolveRobustBatch(BatchOptions options) const;
+  void TakeWeights(const std::vector<double>& weights);
   // incremental_points.cpp: Carry::kPoint.
   using Steps = std::map<int, Vector<B>>;  // by variable
   Steps SolveSteps(const std::vector<int>* scope, StepReport& report);
@@ -162,6 +199,17 @@ class IncrementalSolver {
   double seconds_per_flop_ = 1e-9;  // of relinearisation: measured, by the flops that were predicted
   bool deferred_ = false;           // work is left from earlier steps
   PhaseSeconds seconds_;
+  // Robust estimation; empty without a kernel.
+  struct Parked {
+    FactorId id;
+    double chi2;  // when it was judged
+  };
+  std::vector<Parked> parked_;          // kGnc: loops that are out of the factor, ascending
+  std::vector<char> is_loop_;           // by slot
+  std::vector<double> weight_of_slot_;  // of a loop; W_of_slot_ contains its root
+  std::vector<double> judged_chi2_;     // kGnc, by slot: of a loop, when it was judged
+  std::vector<int> touched_;            // poses that moved since their loops were looked at
+  double width_ = 0;                    // from the options
 };
 
 }  // namespace terse
