@@ -6,27 +6,15 @@
 #include <limits>
 #include <stdexcept>
 
+#include "compact_pose_slam_parts.h"
 #include "terse/compact/information.h"
-#include "terse/covariance/covariance_blocks.h"
-#include "terse/covariance/marginals.h"
+#include "terse/compact/innovation.h"
 
 namespace terse {
 namespace {
 
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
-
-constexpr size_t kFewPoses = 12;
-
-template <class Pose>
-double TranslationSpread(const typename Pose::Jacobian& covariance) {
-  return std::sqrt(std::max(0.0, covariance.diagonal().template head<Pose::kDim>().sum()));
-}
-
-template <class Pose>
-double RotationSpread(const typename Pose::Jacobian& covariance) {
-  return std::sqrt(std::max(0.0, covariance.diagonal().template tail<Pose::kDof - Pose::kDim>().sum()));
-}
 
 template <class Pose>
 void CheckOptions(const CompactOptions<Pose>& o) {
@@ -42,9 +30,17 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   if (!symmetric || o.link_covariance.llt().info() != Eigen::Success) {
     throw std::invalid_argument("compact options: the link covariance is not positive definite");
   }
+  if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
+    throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
   if (!(o.view_axis.norm() > 0) || !o.view_axis.allFinite()) {
     throw std::invalid_argument("compact options: the view axis is zero or not finite");
   }
+}
+
+template <class Pose>
+RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to) {
+  const typename Pose::Jacobian information = T_from_to.covariance.llt().solve(Pose::Jacobian::Identity());
+  return {from, to, T_from_to.T_a_b, (information + information.transpose()) / 2};
 }
 
 }  // namespace
@@ -54,6 +50,7 @@ const char* Name(Strategy strategy) {
     case Strategy::kApal: return "apal";
     case Strategy::kApfl: return "apfl";
     case Strategy::kFpfl: return "fpfl";
+    case Strategy::kRfpfl: return "rfpfl";
   }
   return "unknown";
 }
@@ -67,39 +64,28 @@ const char* Name(PoseVerdict verdict) {
     case PoseVerdict::kNothingInRange: return "nothing_in_range";
     case PoseVerdict::kInformative: return "informative";
     case PoseVerdict::kRedundant: return "redundant";
+    case PoseVerdict::kDrawn: return "drawn";
   }
   return "unknown";
 }
 
 template <class Pose>
-struct CompactPoseSlam<Pose>::Evaluated {
-  int pose = -1;  // solver index
-  UncertainPose<Pose> T_pose_current;
-  Candidate record;
-};
-
-template <class Pose>
-struct CompactPoseSlam<Pose>::Current {
-  const CompactInput<Pose>* input = nullptr;
-  int previous = -1;  // in history_
-  PoseId base;        // the kept pose its chain hangs on; itself once it is in the solver
-  UncertainPose<Pose> T_base_current;
-  UncertainPose<Pose> chain;  // T_base_current as it came in, when base was still another pose
-  UncertainPose<Pose> odometry;
-  Pose T_world_body;
-  std::vector<Bound> bounds;
-  bool in_solver = false;
-  bool concatenated = false;  // poses were dropped between base and this one
-};
-
-template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
     : options_(options),
-      deviations_(DeviationsBeyondRange(options.probability)),
       solver_(std::make_unique<IncrementalSolver<Pose>>(options.solver)),
-      inverse_(std::make_unique<SelectedInverse<Pose::kDof>>(solver_->Factor())) {
+      marginals_(std::make_unique<IncrementalMarginals<Pose>>(*solver_)),
+      reach_(std::make_unique<PoseIndex<Pose>>()) {
   CheckOptions(options);
+  most_innovation_ = options.innovation_quantile ? ChiSquareQuantile(*options.innovation_quantile, Pose::kDof)
+                                                 : std::numeric_limits<double>::infinity();
 }
+
+template <class Pose>
+CompactPoseSlam<Pose>::~CompactPoseSlam() = default;
+template <class Pose>
+CompactPoseSlam<Pose>::CompactPoseSlam(CompactPoseSlam&&) noexcept = default;
+template <class Pose>
+CompactPoseSlam<Pose>& CompactPoseSlam<Pose>::operator=(CompactPoseSlam&&) noexcept = default;
 
 template <class Pose>
 const typename CompactPoseSlam<Pose>::Seen& CompactPoseSlam<Pose>::Find(PoseId id) const {
@@ -109,7 +95,7 @@ const typename CompactPoseSlam<Pose>::Seen& CompactPoseSlam<Pose>::Find(PoseId i
 }
 
 template <class Pose>
-typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const CompactInput<Pose>& input) const {
+void CompactPoseSlam<Pose>::CheckPose(const CompactInput<Pose>& input) const {
   const std::string name = "pose " + std::to_string(input.id.value);
   if (index_.count(input.id.value) != 0) throw std::invalid_argument(name + " was added already");
   if (input.odometry.has_value() == history_.empty()) {
@@ -127,6 +113,16 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
     const std::string defect = FindDefect<Pose>(prior);
     if (!defect.empty()) throw std::invalid_argument(defect);
   }
+  if (!input.odometry) return;
+  const std::string defect = FindDefect<Pose>(*input.odometry);
+  if (!defect.empty()) throw std::invalid_argument(defect);
+  if (input.odometry->from != input.id && input.odometry->to != input.id)
+    throw std::invalid_argument("the odometry does not touch " + name);
+}
+
+template <class Pose>
+typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const CompactInput<Pose>& input) const {
+  CheckPose(input);
   Current current;
   current.input = &input;
   if (history_.empty()) {
@@ -134,132 +130,16 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
     current.T_world_body = input.T_world_body.value_or(Pose());
     return current;
   }
-  const std::string defect = FindDefect<Pose>(*input.odometry);
-  if (!defect.empty()) throw std::invalid_argument(defect);
   const RelativePoseFactor<Pose>& edge = *input.odometry;
-  if (edge.from != input.id && edge.to != input.id) throw std::invalid_argument("the odometry does not touch " + name);
   const Seen& previous = Find(edge.from == input.id ? edge.to : edge.from);
   current.previous = index_.at(previous.id.value);
-  current.odometry = SeenFrom(previous.id, edge);
+  const UncertainPose<Pose> odometry = SeenFrom(previous.id, edge);
   current.base = previous.base;
   current.concatenated = !previous.kept;
-  current.T_base_current = previous.kept ? current.odometry : Compose(previous.T_base_pose, current.odometry);
+  current.T_base_current = previous.kept ? odometry : Compose(previous.T_base_pose, odometry);
   current.chain = current.T_base_current;
   current.T_world_body = solver_->Estimate(current.base) * current.T_base_current.T_a_b;
-  current.bounds = PropagateBounds(current);
   return current;
-}
-
-// Minkowski's inequality for root mean squares: an error of the older pose's rotation acts over the new step's length.
-// The new step's own error is independent of what was known before, so that squares add.
-// Holds while the map only gains information; relinearisation moves it in the second order.
-template <class Pose>
-std::vector<typename CompactPoseSlam<Pose>::Bound> CompactPoseSlam<Pose>::PropagateBounds(
-    const Current& current) const {
-  const double unbounded = std::numeric_limits<double>::infinity();
-  if (current.previous + 1 != static_cast<int>(history_.size())) {
-    return std::vector<Bound>(bounds_.size(), Bound{unbounded, unbounded});
-  }
-  const double length = current.odometry.T_a_b.Translation().norm();
-  const double metres = TranslationSpread<Pose>(current.odometry.covariance);
-  const double radians = RotationSpread<Pose>(current.odometry.covariance);
-  std::vector<Bound> out(bounds_);
-  for (Bound& bound : out) {
-    bound.metres = std::hypot(bound.metres + bound.radians * length, metres);
-    bound.radians = std::hypot(bound.radians, radians);
-  }
-  return out;
-}
-
-// Kept poses that the distance test could accept, given the bounds.
-template <class Pose>
-std::vector<int> CompactPoseSlam<Pose>::Prefilter(const Current& current) const {
-  std::vector<int> out;
-  const auto& range = options_.range;
-  const double reach = range.template head<Pose::kDim>().norm();
-  const double root = std::sqrt(static_cast<double>(Pose::kDim));
-  for (int i = 0; i < static_cast<int>(current.bounds.size()); ++i) {
-    const Bound& bound = current.bounds[At(i)];
-    // A bound may be infinite.
-    const double slack = deviations_ > 0 ? deviations_ * bound.metres : 0;
-    const Pose T_world_i = solver_->EstimateAt(i);
-    if ((T_world_i.Translation() - current.T_world_body.Translation()).norm() > reach + root * slack) continue;
-    const auto mean = DisplacementMean<Pose>(T_world_i.Inverse() * current.T_world_body, options_.view_axis);
-    const bool near =
-        (mean.template head<Pose::kDim>().cwiseAbs().array() <= range.template head<Pose::kDim>().array() + slack)
-            .all();
-    if (!near) continue;
-    const double angle = AngleProbabilityBound(mean[Pose::kDim], bound.radians, range[Pose::kDim]);
-    if (angle > options_.probability) out.push_back(i);
-  }
-  return out;
-}
-
-// T_pose_current for each of the given kept poses (S, Eqs. 16-17).
-template <class Pose>
-std::vector<UncertainPose<Pose>> CompactPoseSlam<Pose>::Displacements(const Current& current,
-                                                                      const std::vector<int>& poses) const {
-  constexpr int B = Pose::kDof;
-  using Jacobian = typename Pose::Jacobian;
-  std::vector<UncertainPose<Pose>> out;
-  if (poses.empty()) return out;
-  const int base = solver_->Graph().IndexOf(current.base);
-  const Jacobian F = current.T_base_current.T_a_b.Inverse().Adjoint();
-  // Few blocks are cheapest by solves along their paths, many by the recursion, which keeps what it has computed.
-  std::vector<int> columns = {base};
-  const bool few = poses.size() <= kFewPoses;
-  if (few) columns.insert(columns.end(), poses.begin(), poses.end());
-  std::vector<int> rows(poses);
-  rows.push_back(base);
-  const MatrixX blocks = CovarianceBlocks(solver_->Factor(), rows, columns);
-  const auto block = [&](size_t row, size_t column) -> Jacobian {
-    return blocks.template block<B, B>(static_cast<Eigen::Index>(row) * B, static_cast<Eigen::Index>(column) * B);
-  };
-  const Jacobian Sigma_nn = F * block(poses.size(), 0) * F.transpose() + current.T_base_current.covariance;
-  for (size_t k = 0; k < poses.size(); ++k) {
-    if (poses[k] == base) {
-      out.push_back(current.T_base_current);
-      continue;
-    }
-    const Jacobian Sigma_in = block(k, 0) * F.transpose();
-    const Jacobian Sigma_ii = few ? block(k, k + 1) : inverse_->Diagonal(poses[k]);
-    const Pose T_pose_current = solver_->EstimateAt(poses[k]).Inverse() * current.T_world_body;
-    out.push_back({T_pose_current, RelativeCovariance<Pose>(T_pose_current, Sigma_ii, Sigma_in, Sigma_nn)});
-  }
-  return out;
-}
-
-// The distance test and the gain of the given kept poses; those in range come back. Tightens the bounds of all.
-template <class Pose>
-std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(
-    Current& current, const std::vector<int>& poses) const {
-  std::vector<Evaluated> out;
-  const std::vector<UncertainPose<Pose>> displacements = Displacements(current, poses);
-  for (size_t k = 0; k < poses.size(); ++k) {
-    Evaluated e;
-    e.pose = poses[k];
-    e.T_pose_current = displacements[k];
-    e.record.id = solver_->Graph().Poses()[At(e.pose)].id;
-    if (At(e.pose) < current.bounds.size()) {
-      current.bounds[At(e.pose)] = {TranslationSpread<Pose>(e.T_pose_current.covariance),
-                                    RotationSpread<Pose>(e.T_pose_current.covariance)};
-    }
-    const auto displacement = ComputeDisplacement<Pose>(e.T_pose_current, options_.view_axis);
-    e.record.probability = RangeProbabilities<Pose>(displacement, options_.range).minCoeff();
-    if (e.record.probability <= options_.probability) continue;
-    e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, options_.link_covariance);
-    out.push_back(e);
-  }
-  return out;
-}
-
-template <class Pose>
-std::vector<UncertainPose<Pose>> CompactPoseSlam<Pose>::Predict(const CompactInput<Pose>& input,
-                                                                const std::vector<PoseId>& from) const {
-  if (history_.empty()) throw std::invalid_argument("nothing is known before the first pose");
-  std::vector<int> poses;
-  for (const PoseId id : from) poses.push_back(solver_->Graph().IndexOf(id));
-  return Displacements(Start(input), poses);
 }
 
 template <class Pose>
@@ -273,6 +153,19 @@ std::optional<RelativePoseFactor<Pose>> CompactPoseSlam<Pose>::Register(const Re
   const std::string defect = FindDefect<Pose>(*link);
   if (!defect.empty()) throw std::invalid_argument(defect);
   return link;
+}
+
+// The gain and innovation of a registered link; false if it is not to be added.
+template <class Pose>
+bool CompactPoseSlam<Pose>::TryLink(Evaluated& candidate, const RelativePoseFactor<Pose>& link) const {
+  Candidate& record = candidate.record;
+  const UncertainPose<Pose> measured = SeenFrom(record.id, link);
+  record.measured_gain = InformationGain<Pose::kDof>(candidate.T_pose_current.covariance, measured.covariance);
+  if (options_.innovation_quantile) {
+    record.innovation = InnovationDistance(candidate.T_pose_current, measured);
+    record.outlier = !(*record.innovation <= most_innovation_);
+  }
+  return !record.outlier && *record.measured_gain > options_.min_loop_gain;
 }
 
 // Algorithm 1, lines 6-17: best first, the rest evaluated again after every accepted link.
@@ -293,12 +186,12 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>&
     ++decision.registrations_tried;
     const auto link = Register(registration, best->record.id, current.input->id);
     if (!link) continue;
-    const UncertainPose<Pose> measured = SeenFrom(best->record.id, *link);
-    best->record.measured_gain = InformationGain<Pose::kDof>(best->T_pose_current.covariance, measured.covariance);
-    if (*best->record.measured_gain <= options_.min_loop_gain) continue;
+    const bool good = TryLink(*best, *link);
+    if (best->record.outlier) ++decision.links_refused;
+    if (!good) continue;
     best->record.accepted = true;
     ++decision.links_accepted;
-    Keep(current, {*link});
+    best->record.factor = Keep(current, {*link}).back();
     std::vector<int> rest;
     for (const Evaluated& e : candidates) {
       if (e.record.tried) {
@@ -307,6 +200,7 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>&
         rest.push_back(e.pose);
       }
     }
+    if (!rest.empty()) UpdateSearch(solver_->Graph().IndexOf(current.base));
     candidates = Evaluate(current, rest);
   }
   for (const Evaluated& e : candidates) settled.push_back(e.record);
@@ -318,8 +212,8 @@ void CompactPoseSlam<Pose>::LinkAll(Current& current, Decision& decision, const 
   std::vector<PoseId> offered;
   if (current.input->linkable) {
     offered = *current.input->linkable;
-  } else {
-    for (const Evaluated& e : Evaluate(current, Prefilter(current))) {
+  } else if (options_.strategy == Strategy::kApal) {
+    for (const Evaluated& e : Evaluate(current, InReach(current))) {
       if (current.concatenated || e.record.id != current.base) offered.push_back(e.record.id);
     }
   }
@@ -336,7 +230,11 @@ void CompactPoseSlam<Pose>::LinkAll(Current& current, Decision& decision, const 
     }
     decision.candidates.push_back(candidate);
   }
-  Keep(current, std::move(links));
+  const std::vector<FactorId> ids = Keep(current, std::move(links));
+  size_t next = 0;
+  for (Candidate& candidate : decision.candidates) {
+    if (candidate.accepted) candidate.factor = ids[next++];
+  }
 }
 
 template <class Pose>
@@ -347,6 +245,8 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
     decision.verdict = PoseVerdict::kLoopClosed;
   } else if (!current.input->priors.empty() || current.input->fixed) {
     decision.verdict = PoseVerdict::kPrior;
+  } else if (options_.strategy == Strategy::kRfpfl) {
+    decision.verdict = current.input->drawn ? PoseVerdict::kDrawn : PoseVerdict::kRedundant;
   } else if (options_.strategy != Strategy::kFpfl) {
     decision.verdict = PoseVerdict::kAllKept;
   } else if (!decision.pose_gain) {
@@ -357,43 +257,33 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
   }
 }
 
-// Puts the pose into the solver if it is not there yet, with its odometry and priors, and adds the links.
+// Puts the pose into the solver if it is not there yet, with its odometry and priors, and adds the links. Their ids.
 template <class Pose>
-void CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> links) {
+std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> links) {
   const CompactInput<Pose>& input = *current.input;
   GraphUpdate<Pose> update;
-  const int new_links = static_cast<int>(links.size());
   if (!current.in_solver) {
     const Pose start = input.fixed ? input.T_world_body.value_or(current.T_world_body) : current.T_world_body;
     update.poses.push_back({input.id, start, input.fixed});
     if (input.odometry && !current.concatenated) {
       update.factors.push_back(*input.odometry);
     } else if (input.odometry) {
-      const auto& chain = current.T_base_current;
-      const typename Pose::Jacobian information = chain.covariance.llt().solve(Pose::Jacobian::Identity());
-      update.factors.push_back(
-          RelativePoseFactor<Pose>{current.base, input.id, chain.T_a_b, (information + information.transpose()) / 2});
+      update.factors.push_back(Measurement(current.base, input.id, current.T_base_current));
     }
     update.factors.insert(update.factors.end(), input.priors.begin(), input.priors.end());
   }
+  const size_t others = update.factors.size();
   update.factors.insert(update.factors.end(), links.begin(), links.end());
-  if (update.poses.empty() && update.factors.empty()) return;
-  solver_->Update(update);
-  links_kept_ += new_links;
-  if (!current.in_solver) {
-    // The first absolute measurements release the anchor (gauge.h), and what it told of the map is lost.
-    const bool absolute = input.fixed || !input.priors.empty();
-    if (absolute && absolute_poses_++ < Pose::kDim) {
-      constexpr double kUnbounded = std::numeric_limits<double>::infinity();
-      std::fill(current.bounds.begin(), current.bounds.end(), Bound{kUnbounded, kUnbounded});
-    }
-    current.bounds.push_back({});
-  }
+  if (update.poses.empty() && update.factors.empty()) return {};
+  const StepReport report = solver_->Update(update);
+  const std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
+  links_.insert(links_.end(), ids.begin(), ids.end());
   current.in_solver = true;
   current.concatenated = false;
   current.T_world_body = solver_->Estimate(input.id);
   current.base = input.id;
   current.T_base_current = {};
+  return ids;
 }
 
 template <class Pose>
@@ -415,7 +305,6 @@ void CompactPoseSlam<Pose>::Remember(const Current& current) {
   }
   index_[seen.id.value] = static_cast<int>(history_.size());
   history_.push_back(seen);
-  bounds_ = current.bounds;
 }
 
 template <class Pose>
@@ -423,17 +312,18 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   Current current = Start(input);
   Decision decision;
   decision.id = input.id;
+  const bool searches = options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl;
   try {
     if (history_.empty()) {
       Keep(current, {});
-    } else if (options_.strategy == Strategy::kApal) {
-      LinkAll(current, decision, registration);
-    } else {
-      std::vector<Evaluated> candidates = Evaluate(current, Prefilter(current));
+    } else if (searches) {
+      std::vector<Evaluated> candidates = Evaluate(current, InReach(current));
       for (const Evaluated& e : candidates) {
         decision.pose_gain = std::min(decision.pose_gain.value_or(e.record.gain), e.record.gain);
       }
       CloseLoops(current, candidates, decision, registration);
+    } else if (options_.strategy == Strategy::kApal || input.drawn) {
+      LinkAll(current, decision, registration);
     }
     Judge(current, decision);
     if (decision.Kept()) Keep(current, {});
@@ -443,6 +333,59 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   }
   Remember(current);
   return decision;
+}
+
+template <class Pose>
+RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryToKept(const RelativePoseFactor<Pose>& link) const {
+  const std::string defect = FindDefect<Pose>(link);
+  if (!defect.empty()) throw std::invalid_argument(defect);
+  const Seen &from = Find(link.from), &to = Find(link.to);
+  if (from.kept && to.kept) return link;
+  UncertainPose<Pose> measured = SeenFrom(link.from, link);
+  if (!from.kept) measured = Compose(from.T_base_pose, measured);
+  if (!to.kept) measured = Compose(measured, Invert(to.T_base_pose));
+  return Measurement(from.base, to.base, measured);
+}
+
+template <class Pose>
+LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link) {
+  const RelativePoseFactor<Pose> carried = CarryToKept(link);
+  if (carried.from == carried.to) {
+    throw std::invalid_argument("poses " + std::to_string(link.from.value) + " and " + std::to_string(link.to.value) +
+                                " hang on the same kept pose");
+  }
+  const int from = solver_->Graph().IndexOf(carried.from), to = solver_->Graph().IndexOf(carried.to);
+  Evaluated evaluated;
+  evaluated.pose = from;
+  evaluated.T_pose_current.T_a_b = solver_->EstimateAt(from).Inverse() * solver_->EstimateAt(to);
+  evaluated.T_pose_current.covariance = marginals_->Relative(carried.from, carried.to);
+  evaluated.record.id = carried.from;
+  LinkDecision decision;
+  decision.from = carried.from;
+  decision.to = carried.to;
+  decision.accepted = TryLink(evaluated, carried);
+  decision.gain = *evaluated.record.measured_gain;
+  decision.innovation = evaluated.record.innovation.value_or(0);
+  decision.outlier = evaluated.record.outlier;
+  if (decision.accepted) {
+    GraphUpdate<Pose> update;
+    update.factors.push_back(carried);
+    decision.factor = solver_->Update(update).factor_ids.front();
+    links_.push_back(*decision.factor);
+  }
+  return decision;
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::RemoveLink(FactorId id) {
+  const auto it = std::lower_bound(links_.begin(), links_.end(), id);
+  if (it == links_.end() || *it != id) {
+    throw std::invalid_argument("factor " + std::to_string(id.value) + " is not a link of the map");
+  }
+  GraphUpdate<Pose> update;
+  update.removed.push_back(id);
+  solver_->Update(update);
+  links_.erase(it);
 }
 
 template <class Pose>

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
+#include <random>
+#include <set>
 #include <stdexcept>
 
 #include "terse/core/arrival.h"
@@ -66,9 +69,47 @@ GraphReplay<Pose>::GraphReplay(const PoseGraph<Pose>& graph) {
       inputs_[k].linkable->push_back(edge->from == inputs_[k].id ? edge->to : edge->from);
       waiting_[Pair(edge->from, edge->to)].push_back(static_cast<int>(links_.size()));
       links_.push_back(*edge);
+      owner_.push_back(static_cast<int>(k));
     }
   }
   for (auto& [pair, list] : waiting_) std::reverse(list.begin(), list.end());
+}
+
+template <class Pose>
+void GraphReplay<Pose>::DrawAtRandom(int poses, int links, std::uint64_t seed) {
+  std::mt19937_64 engine(seed);
+  // Leaves `count` elements, those before `from` among them, the others drawn (Fisher and Yates).
+  const auto draw = [&](std::vector<int>& list, size_t from, size_t count) {
+    for (size_t k = from; k < std::min(count, list.size()); ++k) {
+      std::swap(list[k], list[k + engine() % (list.size() - k)]);
+    }
+    list.resize(std::min(count, list.size()));
+  };
+  std::vector<int> chosen(inputs_.size());
+  std::iota(chosen.begin(), chosen.end(), 0);
+  draw(chosen, 1, At(std::max(poses, 1)));
+  for (auto& input : inputs_) {
+    input.drawn = false;
+    input.linkable.emplace();
+  }
+  std::set<std::int64_t> drawn;
+  for (const int k : chosen) {
+    inputs_[At(k)].drawn = true;
+    drawn.insert(inputs_[At(k)].id.value);
+  }
+  std::vector<int> between;
+  for (size_t k = 0; k < links_.size(); ++k) {
+    if (drawn.count(links_[k].from.value) != 0 && drawn.count(links_[k].to.value) != 0) {
+      between.push_back(static_cast<int>(k));
+    }
+  }
+  draw(between, 0, At(std::max(links, 0)));
+  std::sort(between.begin(), between.end());
+  for (const int k : between) {
+    CompactInput<Pose>& input = inputs_[At(owner_[At(k)])];
+    const RelativePoseFactor<Pose>& link = links_[At(k)];
+    input.linkable->push_back(link.from == input.id ? link.to : link.from);
+  }
 }
 
 template <class Pose>

@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <tuple>
 
 #include "terse/compact/information.h"
+#include "terse/covariance/incremental_marginals.h"
 
 namespace terse {
 namespace {
@@ -34,6 +36,56 @@ Vector<Displacement<Pose>::kSize> LeastRange(const Displacement<Pose>& displacem
   return high;
 }
 
+// What is known of pose n and of the poses that its loops lead to, before any loop: conditioned on one loop after the
+// other as they are added, at fixed linearisation points.
+template <class Pose>
+class LoopGains {
+ public:
+  static constexpr int B = Pose::kDof;
+  using Jacobian = typename Pose::Jacobian;
+
+  // `T_base_n`: odometry from the pose `base`.
+  LoopGains(const IncrementalMarginals<Pose>& marginals, const IncrementalSolver<Pose>& solver, PoseId base,
+            const UncertainPose<Pose>& T_base_n, const std::vector<PoseId>& loops)
+      : T_base_n_(T_base_n) {
+    std::vector<PoseId> ids = {base};
+    ids.insert(ids.end(), loops.begin(), loops.end());
+    Sigma_ = marginals.Joint(ids);
+    // The base gives way to n. (A loop may lead to the base too: it is there a second time.)
+    const Jacobian F = T_base_n.T_a_b.Inverse().Adjoint();
+    Sigma_.topRows(B) = (F * Sigma_.topRows(B)).eval();
+    Sigma_.leftCols(B) = (Sigma_.leftCols(B) * F.transpose()).eval();
+    Sigma_.topLeftCorner(B, B) += T_base_n.covariance;
+    const Pose T_world_n = solver.Estimate(base) * T_base_n.T_a_b;
+    for (const PoseId id : loops) T_loop_n_.push_back(solver.Estimate(id).Inverse() * T_world_n);
+  }
+
+  // From loop pose k.
+  UncertainPose<Pose> Displacement(int k) const {
+    const int at = (k + 1) * B;
+    return {T_loop_n_[static_cast<std::size_t>(k)],
+            RelativeCovariance<Pose>(T_loop_n_[static_cast<std::size_t>(k)], Sigma_.template block<B, B>(at, at),
+                                     Sigma_.template block<B, B>(at, 0), Sigma_.template block<B, B>(0, 0))};
+  }
+
+  void Add(int k, const Jacobian& Sigma_y) {
+    // The displacement moves by d_n - A d_k.
+    const Jacobian A = T_loop_n_[static_cast<std::size_t>(k)].Inverse().Adjoint();
+    const MatrixX Sigma_C = Sigma_.leftCols(B) - Sigma_.middleCols((k + 1) * B, B) * A.transpose();
+    const Jacobian S = Sigma_C.topRows(B) - A * Sigma_C.middleRows((k + 1) * B, B) + Sigma_y;
+    const MatrixX Y = S.llt().matrixL().solve(Sigma_C.transpose());
+    Sigma_.noalias() -= Y.transpose() * Y;
+  }
+
+ private:
+  UncertainPose<Pose> T_base_n_;
+  MatrixX Sigma_;  // of n, then of the loop poses
+  std::vector<Pose> T_loop_n_;
+};
+
+// Gains below this are not told apart.
+constexpr double kLeastGain = 0.05;
+
 }  // namespace
 
 template <class Pose>
@@ -46,6 +98,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   everything.strategy = Strategy::kApal;
   everything.link_covariance = replay.LinkCovariance();
   CompactPoseSlam<Pose> slam(everything);
+  const IncrementalMarginals<Pose> marginals(slam.Solver());
   Thresholds<Pose> out;
   out.probability = options.probability;
   out.range.setZero();
@@ -55,25 +108,44 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   for (long k = 0; k < sample; ++k) {
     const CompactInput<Pose>& input = inputs[static_cast<std::size_t>(k)];
     if (k > 0) {
-      const std::vector<PoseId>& loops = *input.linkable;
-      std::vector<PoseId> from(loops);
-      from.push_back(input.odometry->from == input.id ? input.odometry->to : input.odometry->from);
-      std::vector<double> gains;
-      for (const auto& T_pose_new : slam.Predict(input, from)) {
-        gains.push_back(InformationGain<Pose::kDof>(T_pose_new.covariance, everything.link_covariance));
-        if (gains.size() > loops.size()) break;  // the odometry, always in range
-        loop_gains.push_back(gains.back());
-        const auto displacement = ComputeDisplacement<Pose>(T_pose_new, everything.view_axis);
+      const PoseId base = input.odometry->from == input.id ? input.odometry->to : input.odometry->from;
+      const UncertainPose<Pose> T_base_n = SeenFrom(base, *input.odometry);
+      LoopGains<Pose> known(marginals, slam.Solver(), base, T_base_n, *input.linkable);
+      const int loops = static_cast<int>(input.linkable->size());
+      double least = InformationGain<Pose::kDof>(T_base_n.covariance, everything.link_covariance);
+      std::vector<int> left;
+      for (int i = 0; i < loops; ++i) {
+        left.push_back(i);
+        const UncertainPose<Pose> T_loop_n = known.Displacement(i);
+        const auto displacement = ComputeDisplacement<Pose>(T_loop_n, everything.view_axis);
         out.range = out.range.cwiseMax(LeastRange<Pose>(displacement, options.probability));
+        least = std::min(least, InformationGain<Pose::kDof>(T_loop_n.covariance, everything.link_covariance));
       }
-      pose_gains.push_back(*std::min_element(gains.begin(), gains.end()));
+      pose_gains.push_back(least);
+      while (!left.empty()) {
+        double gain = -1;
+        auto best = left.begin();
+        for (auto it = left.begin(); it != left.end(); ++it) {
+          const double g = InformationGain<Pose::kDof>(known.Displacement(*it).covariance, everything.link_covariance);
+          if (g > gain) std::tie(gain, best) = std::make_pair(g, it);
+        }
+        if (gain < kLeastGain) {
+          loop_gains.insert(loop_gains.end(), left.size(), gain);
+          break;
+        }
+        loop_gains.push_back(gain);
+        known.Add(*best, everything.link_covariance);
+        left.erase(best);
+      }
     }
     slam.AddPose(input, replay.AsRegistration());
     if (options.progress) options.progress(k + 1, sample);
   }
   out.range = out.range.cwiseMax(replay.LinkRange());
-  out.min_loop_gain = Percentile90(loop_gains);
-  out.min_pose_gain = std::exp(1.7 * std::log(Percentile90(pose_gains) + 1)) - 1;
+  const double l90 = Percentile90(loop_gains), p90 = Percentile90(pose_gains);
+  if (getenv("TDBG")) fprintf(stderr, "l90 %g p90 %g loops %zu\n", l90, p90, loop_gains.size());
+  out.min_loop_gain = std::exp(1.36 * std::log(l90 + 1)) - 1;
+  out.min_pose_gain = std::exp(1.7 * std::log(p90 + 1)) - 1;
   return out;
 }
 

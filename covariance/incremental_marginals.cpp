@@ -65,6 +65,12 @@ const std::vector<typename Pose::Jacobian>& IncrementalMarginals<Pose>::KeptMarg
 }
 
 template <class Pose>
+typename Pose::Jacobian IncrementalMarginals<Pose>::KeptCross(int index) const {
+  if (!state_->kept.IsCurrent()) throw std::logic_error("the solver changed since the covariances' last Update");
+  return state_->kept.Column(index);
+}
+
+template <class Pose>
 size_t IncrementalMarginals<Pose>::CacheBytes() const {
   return state_->inverse.CacheBytes();
 }

@@ -1,6 +1,7 @@
 #pragma once
 // A stored graph as the source of a compact run: its poses in order of arrival, its edges as the registration.
 
+#include <cstdint>
 #include <map>
 
 #include "terse/compact/compact_pose_slam.h"
@@ -15,6 +16,9 @@ class GraphReplay {
 
   // In order of arrival. Odometry is the edge to the latest earlier pose; the other edges are links.
   const std::vector<CompactInput<Pose>>& Inputs() const { return inputs_; }
+  // For Strategy::kRfpfl: names so many poses, the first one among them, and so many of the links between them, or all
+  // if there are not as many. Same seed, same choice.
+  void DrawAtRandom(int poses, int links, std::uint64_t seed);
   int LinksOffered() const { return static_cast<int>(links_.size()); }
 
   // The edge between the two, each edge once: a second call gives the next of several, then none. So one replay serves
@@ -30,6 +34,7 @@ class GraphReplay {
  private:
   std::vector<CompactInput<Pose>> inputs_;
   std::vector<RelativePoseFactor<Pose>> links_;
+  std::vector<int> owner_;  // of the links: the input that brings them in
   std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>>
       waiting_;  // {smaller id, larger id} -> links, last first
 };

@@ -38,6 +38,8 @@ class IncrementalMarginals final : public PoseMarginals<Pose> {
   // All diagonal blocks as kept, without a copy: by pose index, until the next Update. Throws std::logic_error if the
   // solver changed since the last Update.
   const std::vector<Jacobian>& KeptMarginals() const;
+  // Cov(d_index, d_newest) as kept, likewise.
+  Jacobian KeptCross(int index) const;
 
   // Bytes of the cache now, at most CovarianceOptions::cache_bytes between queries; and of what Update keeps: two
   // blocks per pose, as many right-hand sides per pose as downdates took at once, and the blocks of one path.

@@ -1,0 +1,28 @@
+#pragma once
+// What the parts of CompactPoseSlam share while a pose is worked in.
+
+#include "pose_index.h"
+#include "terse/compact/compact_pose_slam.h"
+
+namespace terse {
+
+template <class Pose>
+struct CompactPoseSlam<Pose>::Evaluated {
+  int pose = -1;  // solver index
+  UncertainPose<Pose> T_pose_current;
+  Candidate record;
+};
+
+template <class Pose>
+struct CompactPoseSlam<Pose>::Current {
+  const CompactInput<Pose>* input = nullptr;
+  int previous = -1;  // in history_
+  PoseId base;        // the kept pose its chain hangs on; itself once it is in the solver
+  UncertainPose<Pose> T_base_current;
+  UncertainPose<Pose> chain;  // T_base_current as it came in, when base was still another pose
+  Pose T_world_body;
+  bool in_solver = false;
+  bool concatenated = false;  // poses were dropped between base and this one
+};
+
+}  // namespace terse

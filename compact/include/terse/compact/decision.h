@@ -1,0 +1,41 @@
+#pragma once
+// What compact pose SLAM decided, and on what grounds.
+
+#include <optional>
+#include <vector>
+
+#include "terse/core/pose_graph.h"
+
+namespace terse {
+
+// A kept pose that the new one may be linked to.
+struct Candidate {
+  PoseId id;
+  double probability = 0;  // smallest over the dimensions
+  double gain = 0;         // nats, with the expected link covariance
+  bool tried = false;
+  std::optional<double> measured_gain;  // nats, with the registered covariance; absent if registration failed
+  std::optional<double> innovation;     // squared Mahalanobis distance (innovation.h); absent if it is not tested
+  bool outlier = false;                 // the innovation is too large: not linked, whatever its gain
+  bool accepted = false;
+  std::optional<FactorId> factor;  // if accepted: CompactPoseSlam::RemoveLink takes it
+};
+
+enum class PoseVerdict { kFirst, kAllKept, kLoopClosed, kPrior, kNothingInRange, kInformative, kRedundant, kDrawn };
+const char* Name(PoseVerdict verdict);
+
+struct Decision {
+  PoseId id;
+  // In the order they were settled, as last evaluated. With kApal and kRfpfl: what was registered, without
+  // probabilities and gains.
+  std::vector<Candidate> candidates;
+  PoseVerdict verdict = PoseVerdict::kFirst;
+  // Least gain among the possible links, before any was added, nats; absent when nothing was in range.
+  std::optional<double> pose_gain;
+  int registrations_tried = 0;
+  int links_accepted = 0;
+  int links_refused = 0;  // by the innovation test
+  bool Kept() const { return verdict != PoseVerdict::kRedundant; }
+};
+
+}  // namespace terse
