@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 #include <tuple>
 
@@ -12,6 +13,11 @@ namespace terse {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
+
+// Per degree of freedom; thresholds.h says why.
+constexpr double kLeastLoopGain = 0.5, kLeastPoseGain = 0.8;
+
+double Raise(double gain, double power) { return std::exp(power * std::log(gain + 1)) - 1; }
 
 double Percentile90(std::vector<double> values) {
   if (values.empty()) return 0;
@@ -46,8 +52,7 @@ class LoopGains {
 
   // `T_base_n`: odometry from the pose `base`.
   LoopGains(const IncrementalMarginals<Pose>& marginals, const IncrementalSolver<Pose>& solver, PoseId base,
-            const UncertainPose<Pose>& T_base_n, const std::vector<PoseId>& loops)
-      : T_base_n_(T_base_n) {
+            const UncertainPose<Pose>& T_base_n, const std::vector<PoseId>& loops) {
     std::vector<PoseId> ids = {base};
     ids.insert(ids.end(), loops.begin(), loops.end());
     Sigma_ = marginals.Joint(ids);
@@ -78,13 +83,35 @@ class LoopGains {
   }
 
  private:
-  UncertainPose<Pose> T_base_n_;
   MatrixX Sigma_;  // of n, then of the loop poses
   std::vector<Pose> T_loop_n_;
 };
 
 // Gains below this are not told apart.
 constexpr double kLeastGain = 0.05;
+
+// The gains of the loops of one pose as Algorithm 1 would add them: best first, the rest evaluated again after each.
+template <class Pose>
+void RecordLoopGains(LoopGains<Pose>& known, int loops, const typename Pose::Jacobian& Sigma_y,
+                     std::vector<double>& gains) {
+  std::vector<int> left(static_cast<std::size_t>(loops));
+  std::iota(left.begin(), left.end(), 0);
+  while (!left.empty()) {
+    double gain = -1;
+    std::size_t best = 0;
+    for (std::size_t k = 0; k < left.size(); ++k) {
+      const double g = InformationGain<Pose::kDof>(known.Displacement(left[k]).covariance, Sigma_y);
+      if (g > gain) std::tie(gain, best) = std::make_pair(g, k);
+    }
+    if (gain < kLeastGain) {
+      gains.insert(gains.end(), left.size(), gain);
+      return;
+    }
+    gains.push_back(gain);
+    known.Add(left[best], Sigma_y);
+    left.erase(left.begin() + static_cast<long>(best));
+  }
+}
 
 }  // namespace
 
@@ -93,59 +120,45 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   if (!(options.share > 0 && options.share <= 1) || !(options.probability >= 0 && options.probability < 1)) {
     throw std::invalid_argument("sample options: the share must be in (0, 1], the probability in [0, 1)");
   }
+  if (options.most_poses < 1) throw std::invalid_argument("sample options: at least one pose is needed");
   GraphReplay<Pose> replay(graph);
   CompactOptions<Pose> everything;
   everything.strategy = Strategy::kApal;
-  everything.link_covariance = replay.LinkCovariance();
+  const typename Pose::Jacobian Sigma_y = replay.LinkCovariance();
   CompactPoseSlam<Pose> slam(everything);
   const IncrementalMarginals<Pose> marginals(slam.Solver());
   Thresholds<Pose> out;
   out.probability = options.probability;
+  out.link_covariance = Sigma_y;
   out.range.setZero();
   std::vector<double> loop_gains, pose_gains;
   const auto& inputs = replay.Inputs();
-  const long sample = std::lround(options.share * static_cast<double>(inputs.size()));
+  const long sample = std::min(options.most_poses, std::lround(options.share * static_cast<double>(inputs.size())));
   for (long k = 0; k < sample; ++k) {
     const CompactInput<Pose>& input = inputs[static_cast<std::size_t>(k)];
     if (k > 0) {
       const PoseId base = input.odometry->from == input.id ? input.odometry->to : input.odometry->from;
       const UncertainPose<Pose> T_base_n = SeenFrom(base, *input.odometry);
-      LoopGains<Pose> known(marginals, slam.Solver(), base, T_base_n, *input.linkable);
       const int loops = static_cast<int>(input.linkable->size());
-      double least = InformationGain<Pose::kDof>(T_base_n.covariance, everything.link_covariance);
-      std::vector<int> left;
+      LoopGains<Pose> known(marginals, slam.Solver(), base, T_base_n, *input.linkable);
+      double least = InformationGain<Pose::kDof>(T_base_n.covariance, Sigma_y);
       for (int i = 0; i < loops; ++i) {
-        left.push_back(i);
         const UncertainPose<Pose> T_loop_n = known.Displacement(i);
         const auto displacement = ComputeDisplacement<Pose>(T_loop_n, everything.view_axis);
         out.range = out.range.cwiseMax(LeastRange<Pose>(displacement, options.probability));
-        least = std::min(least, InformationGain<Pose::kDof>(T_loop_n.covariance, everything.link_covariance));
+        least = std::min(least, InformationGain<Pose::kDof>(T_loop_n.covariance, Sigma_y));
       }
       pose_gains.push_back(least);
-      while (!left.empty()) {
-        double gain = -1;
-        auto best = left.begin();
-        for (auto it = left.begin(); it != left.end(); ++it) {
-          const double g = InformationGain<Pose::kDof>(known.Displacement(*it).covariance, everything.link_covariance);
-          if (g > gain) std::tie(gain, best) = std::make_pair(g, it);
-        }
-        if (gain < kLeastGain) {
-          loop_gains.insert(loop_gains.end(), left.size(), gain);
-          break;
-        }
-        loop_gains.push_back(gain);
-        known.Add(*best, everything.link_covariance);
-        left.erase(best);
-      }
+      RecordLoopGains(known, loops, Sigma_y, loop_gains);
     }
     slam.AddPose(input, replay.AsRegistration());
     if (options.progress) options.progress(k + 1, sample);
   }
   out.range = out.range.cwiseMax(replay.LinkRange());
-  const double l90 = Percentile90(loop_gains), p90 = Percentile90(pose_gains);
-  if (getenv("TDBG")) fprintf(stderr, "l90 %g p90 %g loops %zu\n", l90, p90, loop_gains.size());
-  out.min_loop_gain = std::exp(1.36 * std::log(l90 + 1)) - 1;
-  out.min_pose_gain = std::exp(1.7 * std::log(p90 + 1)) - 1;
+  out.loop_gain_90 = Percentile90(loop_gains);
+  out.pose_gain_90 = Percentile90(pose_gains);
+  out.min_loop_gain = std::max(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof);
+  out.min_pose_gain = std::max(Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof);
   return out;
 }
 
