@@ -19,6 +19,10 @@
 
 namespace terse {
 
+namespace internal {
+struct StateAccess;
+}
+
 // A user's name for a pose: any 64-bit number, in any order, with gaps.
 struct PoseId {
   std::int64_t value = 0;
@@ -122,6 +126,9 @@ class FactorList {
   bool Remove(FactorId id);
 
  private:
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);  // state_file.h, as in the classes below
   std::size_t PositionOf(std::size_t k) const;
   void CloseGaps();
 
@@ -162,6 +169,10 @@ class PoseGraph {
   int IndexOf(PoseId id) const;
 
  private:
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);
+
   std::vector<PoseNode> poses_;
   std::unordered_map<std::int64_t, int> index_;
   FactorList<Pose> factors_;
