@@ -1,6 +1,7 @@
 // What of the graph and the solver is stored, and whether what was stored can be one.
 
 #include <algorithm>
+#include <limits>
 
 #include "terse/core/state_members.h"
 
@@ -90,9 +91,10 @@ std::string IncrementalSolver<Pose>::FindStateDefect() const {
       !AreBelow(suspects_, slots) || !AreBelow(slot_of_factor_, slots, -1)) {
     return "lists by slot have different sizes";
   }
+  if (static_cast<size_t>(graph_.NextFactorId().value) != slot_of_factor_.size()) return "factors without a slot";
   size_t bound = 0;
+  long scalars = 0;
   for (const auto& node : graph_.Factors()) {
-    if (static_cast<size_t>(node.id.value) >= slot_of_factor_.size()) return "a measurement without a slot";
     const int slot = slot_of_factor_[static_cast<size_t>(node.id.value)];
     if (slot < 0 || factor_of_slot_[At(slot)] != node.id) return "a measurement without a slot";
     const FactorPoses ends = PosesOf(node.factor);
@@ -100,6 +102,7 @@ std::string IncrementalSolver<Pose>::FindStateDefect() const {
     const LinearFactor<B>& f = factor_.FactorAt(slot);
     if (f.first != graph_.IndexOf(ends.first) || f.second != second) return "a measurement in a slot of other poses";
     ++bound;
+    scalars += Dimension(node.factor);
   }
   for (int slot = 0; slot < factor_.Slots(); ++slot) {
     const LinearFactor<B>& f = factor_.FactorAt(slot);
@@ -113,6 +116,13 @@ std::string IncrementalSolver<Pose>::FindStateDefect() const {
   if (anchor_slot_ < -1 || anchor_slot_ >= factor_.Slots() || (anchor_slot_ < 0) != (poses == 0) ||
       (anchor_slot_ >= 0 && factor_.FactorAt(anchor_slot_).first != 0)) {
     return "the map is not anchored";
+  }
+  const AbsoluteFactors absolute = CountAbsoluteFactors(graph_);
+  const auto is_count = [](long number) { return number >= 0 && number < std::numeric_limits<long>::max() / 2; };
+  if (scalars != measured_scalars_ || absolute.pose_priors != absolute_.pose_priors ||
+      absolute.position_priors != absolute_.position_priors || !is_count(updates_) || !is_count(looked_at_) ||
+      !is_count(look_) || eta_variables_ < 0) {
+    return "it has miscounted";
   }
   return "";
 }

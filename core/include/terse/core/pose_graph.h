@@ -159,6 +159,8 @@ class PoseGraph {
   FactorId AddFactor(const Factor<Pose>& factor);
   // False if there is no such factor (any more). O(log n) amortised.
   bool RemoveFactor(FactorId id);
+  // The id that the next factor gets.
+  FactorId NextFactorId() const { return {next_factor_id_}; }
 
   const std::vector<PoseNode>& Poses() const { return poses_; }
   // Living factors in order of arrival.
