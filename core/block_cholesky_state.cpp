@@ -80,9 +80,9 @@ void BlockCholesky<B>::Serialize(Archive& archive) {
   }
   archive.Each(fronts, [&](Front& front) { SerializeFront(archive, front); });
   if constexpr (Archive::kReads) {
-    for (const std::string& defect : {FindTreeDefect(), FindSlotDefect()}) {
-      if (!defect.empty()) archive.Fail(defect);
-    }
+    std::string defect = FindTreeDefect();
+    if (defect.empty()) defect = FindSlotDefect();
+    if (!defect.empty()) archive.Fail(defect);
     RebuildDerived();
   }
 }
@@ -159,7 +159,7 @@ std::string BlockCholesky<B>::FindTreeDefect() const {
   return order.size() + free_fronts_.size() == count ? "" : "a front of the factor belongs nowhere";
 }
 
-// Every living factor is in one front, which has its variables.
+// In a tree that is one: every living factor is in one front, which has its variables.
 template <int B>
 std::string BlockCholesky<B>::FindSlotDefect() const {
   const int n = Variables();

@@ -199,7 +199,9 @@ TYPED_TEST(StateFileTest, ContinuesBitByBit) {
           if (this->HasFatalFailure()) return;
         }
         if (k % 9 != 0) continue;
-        if (resumed) ASSERT_TRUE(SavedButTimes(*resumed) == SavedButTimes(running)) << "step " << k;
+        if (resumed) {
+          ASSERT_TRUE(SavedButTimes(*resumed) == SavedButTimes(running)) << "step " << k;
+        }
         resumed.emplace(SavedAndLoaded(running));
       }
       ExpectSameTree<TypeParam>(running.Factor(), resumed->Factor());
