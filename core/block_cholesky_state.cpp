@@ -74,8 +74,7 @@ void BlockCholesky<B>::Serialize(Archive& archive) {
   if constexpr (Archive::kReads) {
     if (front_of.size() > At(std::numeric_limits<int>::max() / B - 1)) archive.Fail("too many variables");
     if (threads < 1) archive.Fail("a factor without a thread");
-    if (drift_looked_at < 0 || At(drift_looked_at) > front_of.size())
-      archive.Fail("the factor was smaller than it was");
+    if (drift_looked_at < 0 || At(drift_looked_at) > front_of.size()) archive.Fail("the factor was larger once");
     version = next_version = internal::NextVersion();
   }
   archive.Each(fronts, [&](Front& front) { SerializeFront(archive, front); });

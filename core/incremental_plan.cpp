@@ -183,7 +183,7 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
       error_of_slot_.resize(At(slot) + 1, 0.0);
       is_suspect_.resize(At(slot) + 1, 0);
       is_listed_.resize(At(slot) + 1, 0);
-      W_of_slot_.resize(At(slot) + 1);
+      W_of_slot_.resize(At(slot) + 1, Matrix<B, B>::Zero());
     }
     factor_of_slot_[At(slot)] = id;
   };

@@ -163,7 +163,11 @@ std::vector<GraphUpdate<Pose>> RandomUpdates(std::uint64_t seed, int poses) {
   options.noise = 0.05;
   options.priors = seed % 2 == 0;
   options.id_stride = 3;
-  return OnePosePerUpdate(testing::MakeRandomGraph<Pose>(rng, options).graph);
+  const auto random = testing::MakeRandomGraph<Pose>(rng, options);
+  auto updates = OnePosePerUpdate(random.graph);
+  const std::size_t k = updates.size() / 2;
+  if (seed % 3 == 0) updates[k].poses[0] = {random.graph.Poses()[k].id, random.truth[k], true};
+  return updates;
 }
 
 template <class Pose>
