@@ -43,14 +43,6 @@ struct SolveOptions {
   bool quiet = false;
 };
 
-const std::vector<std::pair<std::string, RobustKernel>>& KernelNames() {
-  static const std::vector<std::pair<std::string, RobustKernel>> names = {
-      {"none", RobustKernel::kNone},   {"huber", RobustKernel::kHuber}, {"cauchy", RobustKernel::kCauchy},
-      {"tukey", RobustKernel::kTukey}, {"dcs", RobustKernel::kDcs},     {"gnc", RobustKernel::kGnc},
-  };
-  return names;
-}
-
 std::string CovarianceTarget(const SolveOptions& options) {
   return options.covariance_output.empty() ? "-" : options.covariance_output;
 }
@@ -325,24 +317,6 @@ std::vector<CLI::Option*> AddStepOptions(CLI::App& command, SolveOptions& option
   return out;
 }
 
-std::string FindWidthDefect(const std::string& text) {
-  const std::string defect = FindSizeDefect(text);
-  return defect.empty() && std::strtod(text.c_str(), nullptr) == 0 ? "the width must be above 0" : defect;
-}
-
-void AddRobustOptions(CLI::App& command, SolveOptions& options) {
-  CLI::Option* kernel =
-      AddChoice(command, "--robust", options.robust.kernel, KernelNames(),
-                "The cost of loops, which may be wrong; gnc leaves the wrong ones out (graduated non-convexity)");
-  command
-      .add_option("--robust-width", options.robust.width,
-                  "Where the kernel sets in, in standard deviations: the norm of the whitened residual (by default what "
-                  "one true loop in a hundred exceeds)")
-      ->check(FindWidthDefect)
-      ->needs(kernel)
-      ->type_name("X");
-}
-
 // What can be told without the file; fills in what follows from other options.
 void CheckUsage(SolveOptions& options, const std::vector<CLI::Option*>& step_options,
                 const std::vector<CLI::Option*>& convention_options) {
@@ -396,7 +370,7 @@ void AddSolveCommand(CLI::App& app) {
   AddChoice(*command, "--every", options->every, {{"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge}},
             "What a step of the incremental mode brings: a pose with all its edges, or a single edge");
   const std::vector<CLI::Option*> step_options = AddStepOptions(*command, *options);
-  AddRobustOptions(*command, *options);
+  AddRobustOptions(*command, options->robust);
   AddReadOptions(*command, options->read);
   command->add_option("--output", options->output, "Write the solved graph (g2o)")->type_name("PATH");
   command
