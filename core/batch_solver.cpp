@@ -79,9 +79,8 @@ class Problem {
   bool IsRobust() const { return !is_robust_.empty(); }
   // Without fixed poses.
   double RobustCost(const std::vector<Pose>& values) const {
-    return SumOfCosts(values, 0, counted_, [&](size_t k, double s) {
-      return is_robust_[k] ? terse::RobustCost(kernel_, s, width_) : s;
-    });
+    return SumOfCosts(values, 0, counted_,
+                      [&](size_t k, double s) { return is_robust_[k] ? terse::RobustCost(kernel_, s, width_) : s; });
   }
   double LargestRobustChi2(const std::vector<Pose>& values) const {
     double largest = 0;
@@ -256,7 +255,10 @@ class Run {
   static constexpr int B = Pose::kDof;
 
   Run(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial, const BatchOptions& options)
-      : graph_(graph), problem_(graph, options.threads, &options), options_(options), tolerance_(options.relative_tolerance) {
+      : graph_(graph),
+        problem_(graph, options.threads, &options),
+        options_(options),
+        tolerance_(options.relative_tolerance) {
     if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
     result_.T_world_body = initial;
     result_.factor.SetThreads(options.threads);
@@ -429,8 +431,7 @@ class Run {
     }
     if (best_ && ++climbing_ > kClimb) Retreat();
     if (!best_ && lambda == 0 && (small || (decrease >= 0 && decrease <= tolerance))) {
-      Finish(Termination::kConverged,
-             "chi2 changes by less than " + Shortest(tolerance_) + " of itself");
+      Finish(Termination::kConverged, "chi2 changes by less than " + Shortest(tolerance_) + " of itself");
     }
   }
 

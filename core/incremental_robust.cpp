@@ -13,8 +13,8 @@
 #include <limits>
 #include <stdexcept>
 
-#include "incremental_plan.h"
 #include "disjoint_sets.h"
+#include "incremental_plan.h"
 #include "terse/core/residual.h"
 
 namespace terse {
@@ -312,7 +312,8 @@ bool IncrementalSolver<Pose>::ChangeLoops(const Loops& in, const Loops& out, Ste
 
 template <class Pose>
 void IncrementalSolver<Pose>::Park(FactorId id, double chi2) {
-  const auto it = std::lower_bound(parked_.begin(), parked_.end(), id, [](const Parked& p, FactorId x) { return p.id < x; });
+  const auto it =
+      std::lower_bound(parked_.begin(), parked_.end(), id, [](const Parked& p, FactorId x) { return p.id < x; });
   if (it != parked_.end() && it->id == id) {
     it->chi2 = chi2;
   } else {
@@ -322,7 +323,8 @@ void IncrementalSolver<Pose>::Park(FactorId id, double chi2) {
 
 template <class Pose>
 void IncrementalSolver<Pose>::Unpark(FactorId id) {
-  const auto it = std::lower_bound(parked_.begin(), parked_.end(), id, [](const Parked& p, FactorId x) { return p.id < x; });
+  const auto it =
+      std::lower_bound(parked_.begin(), parked_.end(), id, [](const Parked& p, FactorId x) { return p.id < x; });
   if (it != parked_.end() && it->id == id) parked_.erase(it);
 }
 
@@ -599,14 +601,14 @@ void IncrementalSolver<Pose>::TakeWeights(const std::vector<double>& weights) {
   if (!in.empty() || !out.empty()) ChangeLoops(in, out, report);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                \
-  template void IncrementalSolver<Pose>::FindLoops(const GraphUpdate<Pose>&, Plan&) const;                     \
-  template void IncrementalSolver<Pose>::Unpark(FactorId);                                                     \
-  template void IncrementalSolver<Pose>::AdmitNewLoops(Plan&, StepReport&);                                    \
-  template void IncrementalSolver<Pose>::ReviewLoops(Clock::time_point, StepReport&);                          \
-  template double IncrementalSolver<Pose>::RobustChi2() const;                                                 \
-  template double IncrementalSolver<Pose>::WeightOf(FactorId) const;                                           \
-  template BatchResult<Pose> IncrementalSolver<Pose>::SolveRobustBatch(BatchOptions) const;                    \
+#define TERSE_INSTANTIATE(Pose)                                                             \
+  template void IncrementalSolver<Pose>::FindLoops(const GraphUpdate<Pose>&, Plan&) const;  \
+  template void IncrementalSolver<Pose>::Unpark(FactorId);                                  \
+  template void IncrementalSolver<Pose>::AdmitNewLoops(Plan&, StepReport&);                 \
+  template void IncrementalSolver<Pose>::ReviewLoops(Clock::time_point, StepReport&);       \
+  template double IncrementalSolver<Pose>::RobustChi2() const;                              \
+  template double IncrementalSolver<Pose>::WeightOf(FactorId) const;                        \
+  template BatchResult<Pose> IncrementalSolver<Pose>::SolveRobustBatch(BatchOptions) const; \
   template void IncrementalSolver<Pose>::TakeWeights(const std::vector<double>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

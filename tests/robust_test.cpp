@@ -300,7 +300,8 @@ TYPED_TEST(RobustTest, AllLoopsWrongLeavesOdometry) {
       }
     }
     const double width = DefaultRobustWidth(kernel, TypeParam::kDof);
-    EXPECT_LE(batch.robust_cost, static_cast<double>(wrong.size()) * 3 * width * width) << "no more than odometry alone";
+    EXPECT_LE(batch.robust_cost, static_cast<double>(wrong.size()) * 3 * width * width)
+        << "no more than odometry alone";
     const auto finished = solver.Finish();
     EXPECT_TRUE(finished.Converged()) << finished.message;
   }

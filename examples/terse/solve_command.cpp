@@ -335,9 +335,10 @@ void AddRobustOptions(CLI::App& command, SolveOptions& options) {
       AddChoice(command, "--robust", options.robust.kernel, KernelNames(),
                 "The cost of loops, which may be wrong; gnc leaves the wrong ones out (graduated non-convexity)");
   command
-      .add_option("--robust-width", options.robust.width,
-                  "Where the kernel sets in, in standard deviations: the norm of the whitened residual (by default what "
-                  "one true loop in a hundred exceeds)")
+      .add_option(
+          "--robust-width", options.robust.width,
+          "Where the kernel sets in, in standard deviations: the norm of the whitened residual (by default what "
+          "one true loop in a hundred exceeds)")
       ->check(FindWidthDefect)
       ->needs(kernel)
       ->type_name("X");
