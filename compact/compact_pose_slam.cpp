@@ -32,6 +32,7 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   }
   if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
     throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
+  if (o.consensus < 2) throw std::invalid_argument("compact options: a consensus takes at least two links");
   if (!(o.distance.view_axis.norm() > 0) || !o.distance.view_axis.allFinite()) {
     throw std::invalid_argument("compact options: the view axis is zero or not finite");
   }
@@ -195,8 +196,16 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>&
     ++decision.registrations_tried;
     const auto link = Register(registration, best->record.id, current.input->id);
     if (!link) continue;
-    const bool good = TryLink(*best, *link);
-    if (best->record.outlier) ++decision.links_refused;
+    bool good = TryLink(*best, *link);
+    if (best->record.outlier) {
+      const UncertainPose<Pose> measured = SeenFrom(best->record.id, *link);
+      best->record.supported = IsSupported(current, best->record.id, measured);
+      if (!best->record.supported) {
+        RememberRefused(current, best->record.id, measured);
+        ++decision.links_refused;
+      }
+      good = best->record.supported && *best->record.measured_gain > options_.min_loop_gain;
+    }
     if (!good) continue;
     best->record.accepted = true;
     ++decision.links_accepted;
@@ -337,7 +346,12 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
     Judge(current, decision);
     if (decision.Kept()) Keep(current, {});
   } catch (...) {
-    if (current.in_solver) Remember(current);
+    if (current.in_solver) {
+      Remember(current);
+    } else {
+      const auto is_new = [&](const Refused& link) { return link.seen == input.id; };
+      refused_.erase(std::remove_if(refused_.begin(), refused_.end(), is_new), refused_.end());
+    }
     throw;
   }
   Remember(current);
@@ -363,11 +377,8 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
     throw std::invalid_argument("poses " + std::to_string(link.from.value) + " and " + std::to_string(link.to.value) +
                                 " hang on the same kept pose");
   }
-  const int from = solver_->Graph().IndexOf(carried.from), to = solver_->Graph().IndexOf(carried.to);
   Evaluated evaluated;
-  evaluated.pose = from;
-  evaluated.T_pose_current.T_a_b = solver_->EstimateAt(from).Inverse() * solver_->EstimateAt(to);
-  evaluated.T_pose_current.covariance = marginals_->Relative(carried.from, carried.to);
+  evaluated.T_pose_current = Between(carried.from, carried.to);
   evaluated.record.id = carried.from;
   LinkDecision decision;
   decision.from = carried.from;

@@ -157,6 +157,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
     if (options.progress) options.progress(k + 1, sample);
   }
   out.range = out.range.cwiseMax(replay.LinkRange(options.distance));
+  out.range.template head<Pose::kDim>().setConstant(out.range.template head<Pose::kDim>().maxCoeff());
   out.loop_gain_90 = Percentile90(loop_gains);
   out.pose_gain_90 = Percentile90(pose_gains);
   out.min_loop_gain =

@@ -112,6 +112,11 @@ class CompactPoseSlam {
     std::optional<PoseId> next_kept;
     UncertainPose<Pose> T_base_next;
   };
+  // A link that the innovation test refused.
+  struct Refused {
+    PoseId candidate, seen;
+    UncertainPose<Pose> T_candidate_seen;
+  };
   struct Evaluated;  // a candidate with its covariance
   struct Current;    // the pose at hand
 
@@ -135,6 +140,10 @@ class CompactPoseSlam {
   std::vector<int> InReach(const Current& current);
   std::vector<Evaluated> Evaluate(const Current& current, const std::vector<int>& poses) const;
 
+  // compact_outliers.cpp
+  UncertainPose<Pose> Between(PoseId a, PoseId b) const;
+  bool IsSupported(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured) const;
+  void RememberRefused(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured);
   // compact_state.cpp
   friend struct internal::StateAccess;
   template <class Archive>
@@ -147,6 +156,7 @@ class CompactPoseSlam {
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<FactorId> links_;                  // ascending
+  std::vector<Refused> refused_;                 // the last ones
   bool searches_ = false;                        // covariances are kept with every change
   // Of all kept poses, as seen from them: the kept pose that the search was last made ready for, with covariances.
   std::vector<UncertainPose<Pose>> T_pose_base_;
