@@ -9,6 +9,7 @@
 #include "compact_pose_slam_parts.h"
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
+#include "terse/core/error.h"
 
 namespace terse {
 namespace {
@@ -139,6 +140,9 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
   current.T_base_current = previous.kept ? odometry : Compose(previous.T_base_pose, odometry);
   current.chain = current.T_base_current;
   current.T_world_body = solver_->Estimate(current.base) * current.T_base_current.T_a_b;
+  if (!IsFinite(current.T_world_body) || !current.chain.covariance.allFinite()) {
+    throw NumericalError("the odometry of pose " + std::to_string(input.id.value) + " leads beyond all numbers");
+  }
   return current;
 }
 
