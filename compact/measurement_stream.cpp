@@ -53,7 +53,7 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFa
                                 ": neither pose is known");
   }
   if (knows_from && knows_to) {
-    if (!IsOpen(edge.from) && !IsOpen(edge.to)) return {LateLink{edge.from, edge.to, slam_->AddLink(edge)}};
+    if (!IsOpen(edge.from) && !IsOpen(edge.to)) return {LinkLate(edge)};
     open_->loops.push_back(edge);
     return {};
   }
@@ -61,6 +61,15 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFa
   std::vector<StreamOutcome> out = Flush();
   OpenNext(std::move(next));
   return out;
+}
+
+template <class Pose>
+LateLink MeasurementStream<Pose>::LinkLate(const RelativePoseFactor<Pose>& edge) {
+  LateLink link{edge.from, edge.to, {}};
+  link.decision.from = slam_->KeptBase(edge.from);
+  link.decision.to = slam_->KeptBase(edge.to);
+  if (link.decision.from != link.decision.to) link.decision = slam_->AddLink(edge);
+  return link;
 }
 
 template <class Pose>
@@ -156,9 +165,7 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::Close() {
   for (const Offer& offer : offers) {
     const auto asked = std::find_if(decision.candidates.begin(), decision.candidates.end(),
                                     [&](const Candidate& c) { return c.tried && c.id == offer.kept; });
-    const PoseId ends[] = {slam_->KeptBase(offer.measured.from), slam_->KeptBase(offer.measured.to)};
-    if (offer.taken || asked == decision.candidates.end() || ends[0] == ends[1]) continue;
-    out.push_back(LateLink{offer.measured.from, offer.measured.to, slam_->AddLink(offer.measured)});
+    if (!offer.taken && asked != decision.candidates.end()) out.push_back(LinkLate(offer.measured));
   }
   return out;
 }

@@ -193,6 +193,10 @@ TEST(MeasurementStream, LateLinksAndTheirRemoval) {
   PoseId first{0}, last{11};
   while (run.slam.KeptBase(first) == first) ++first.value;
   while (run.slam.KeptBase(last) == last) --last.value;
+  run.Add(Edge(run.slam.KeptBase(first).value, first.value, Ahead(0.5)));
+  ASSERT_EQ(run.links.size(), 1u);
+  EXPECT_FALSE(run.links[0].decision.accepted);  // both ends hang on one pose
+  run.links.clear();
   const double length = 0.5 * static_cast<double>(last.value - first.value);
   const SE2 before = run.slam.Estimate(last);
   run.Add(Edge(first.value, last.value, Ahead(length + 0.05), 4000));

@@ -8,13 +8,14 @@
 // A loop to a dropped pose is offered at the kept pose which that one hangs on. Where several loops lead to one kept
 // pose the search asks for the first, those measured at the kept pose itself before those carried to it; the others
 // follow as late links if it asked. An edge between two closed poses is a late link (AddLink), a prior on a closed pose
-// a late prior (AddPrior).
+// a late prior (AddPrior). A late link between poses that hang on one kept pose says nothing about the map: it is not
+// accepted.
 //
 // The first pose is that of the first prior, or the `from` of the first edge.
 //
 // Throws std::invalid_argument for what contradicts the measurements before it, and is then as before. Where the solver
-// fails (NumericalError) the pose at hand is given up, with the measurement that would have followed it; links of it
-// that were accepted before stay, and the pose with them. Not thread-safe.
+// fails (NumericalError) while the pose at hand is closed, this pose is given up, unless links of it were accepted
+// before, and so is the measurement that would have opened the next one. Not thread-safe.
 
 #include <map>
 #include <optional>
@@ -65,6 +66,7 @@ class MeasurementStream {
   struct Offer;  // a loop where the search may find it
 
   std::vector<StreamOutcome> AddEdge(const RelativePoseFactor<Pose>& edge);
+  LateLink LinkLate(const RelativePoseFactor<Pose>& edge);
   std::vector<StreamOutcome> AddPrior(const Factor<Pose>& prior);
   OpenPose Prepare(PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry) const;
   void OpenNext(OpenPose pose);
