@@ -15,7 +15,7 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 
 // Per degree of freedom; thresholds.h says why.
-constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.8;
+constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.9;
 constexpr double kPoseToLoop = 0.9;
 
 double Raise(double gain, double power) { return std::exp(power * std::log(gain + 1)) - 1; }

@@ -19,6 +19,7 @@ void AddEvaluateCommand(CLI::App& app);
 void AddGenerateCommand(CLI::App& app);
 void AddSolveCommand(CLI::App& app);
 void AddCompactCommand(CLI::App& app);
+void AddOnlineCommand(CLI::App& app);
 void AddCovarianceCommand(CLI::App& app);
 void AddTableCommand(CLI::App& app);
 

@@ -60,6 +60,7 @@ int Run(int argc, char** argv) {
   terse::AddInfoCommand(app);
   terse::AddSolveCommand(app);
   terse::AddCompactCommand(app);
+  terse::AddOnlineCommand(app);
   terse::AddCovarianceCommand(app);
   terse::AddConvertCommand(app);
   terse::AddEvaluateCommand(app);

@@ -78,6 +78,12 @@ class CompactPoseSlam {
   // The same measurement between the kept poses that its ends hang on: T_base_pose of a dropped end composed to it, the
   // covariance too. (The chain's error is counted in the map's odometry as well; the two are taken as independent.)
   RelativePoseFactor<Pose> CarryToKept(const RelativePoseFactor<Pose>& link) const;
+  // The same for one end alone: the other may be a pose that is yet to come. Throws std::invalid_argument if `end` is
+  // no end of the link or unknown.
+  RelativePoseFactor<Pose> CarryEndToKept(PoseId end, const RelativePoseFactor<Pose>& link) const;
+  // A prior that comes late, on any pose seen; a pose prior on a dropped pose is carried to the kept one. Throws
+  // std::invalid_argument for an unknown pose, a defective prior, or a position prior on a dropped pose.
+  FactorId AddPrior(const Factor<Pose>& prior);
   // A kept pose itself, for a dropped one the kept pose that it hangs on. Throws std::invalid_argument if unknown.
   PoseId KeptBase(PoseId id) const { return Find(id).base; }
   bool HasSeen(PoseId id) const { return index_.count(id.value) != 0; }
@@ -134,6 +140,7 @@ class CompactPoseSlam {
   std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
                                                    PoseId current) const;
   const Seen& Find(PoseId id) const;
+  RelativePoseFactor<Pose> Carry(const RelativePoseFactor<Pose>& link, const Seen* from, const Seen* to) const;
   // compact_search.cpp
   void UpdateCovariances();
   void UpdateSearch(int base);

@@ -32,7 +32,7 @@ struct SampleOptions {
 // min_loop_gain: exp(1.36 ln(l90 + 1)) - 1, l90 being the 90th percentile of the links' gains as Algorithm 1 would add
 // them, best first and the rest evaluated again after each; between 1/2 and 1.5 nats per degree of freedom.
 // min_pose_gain: exp(1.7 ln(p90 + 1)) - 1, p90 being the percentile of the least gain per pose among its link to the
-// pose before and the loops it has; at least 0.8 nat per degree of freedom, which is what a registration tells of a
+// pose before and the loops it has; at least 0.9 nat per degree of freedom, about what a registration tells of a
 // displacement known half as well (in standard deviations) as it measures, and 0.9 of min_loop_gain. The bounds are
 // ours: where links are many or odometry is good, as on kitti00_all_loops, the percentiles are those of gains that say
 // next to nothing. Throws std::invalid_argument if the graph is empty or not connected.
