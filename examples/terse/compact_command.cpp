@@ -3,6 +3,7 @@
 #include <iostream>
 
 #include "commands.h"
+#include "compact_run.h"
 #include "covariance_output.h"
 #include "progress.h"
 #include "report.h"
@@ -144,25 +145,14 @@ template <class Pose>
 void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& options, Stats stats, double start) {
   GraphReplay<Pose> replay(graph);
   const CompactOptions<Pose> settings = MakeOptions(graph, replay, options);
-  CompactPoseSlam<Pose> slam(settings);
-  std::vector<Decision> decisions;
-  {
-    Progress progress("poses", static_cast<long>(replay.Inputs().size()), options.quiet);
-    for (const auto& input : replay.Inputs()) {
-      const double before = SecondsNow();
-      decisions.push_back(slam.AddPose(input, replay.AsRegistration()));
-      stats.step_seconds.push_back(SecondsNow() - before);
-      progress.Update(static_cast<long>(decisions.size()));
-    }
-  }
-  const BatchResult<Pose> result = slam.Finish();
-  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(result.message);
-  }
-  WriteResults(slam, result, decisions, options, stats);
+  CompactRunOptions<Pose> run_options;
+  run_options.quiet = options.quiet;
+  CompactRun<Pose> run = RunCompact(settings, replay, run_options);
+  const CompactPoseSlam<Pose>& slam = run.slam;
+  const BatchResult<Pose>& result = run.result;
+  stats.step_seconds = std::move(run.step_seconds);
+  WriteResults(slam, result, run.decisions, options, stats);
   const EdgeCounts kept = CountEdges(slam.Solver().Graph());
-  long tried = 0;
-  for (const Decision& d : decisions) tried += d.registrations_tried;
   stats.poses = graph.Poses().size();
   stats.counts = CountEdges(graph);
   stats.chi2 = result.chi2;
@@ -176,7 +166,7 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   stats.more["poses_kept"] = slam.Solver().Graph().Poses().size();
   stats.more["links_kept"] = slam.LinksKept();
   stats.more["links_offered"] = replay.LinksOffered();
-  stats.more["registrations_tried"] = tried;
+  stats.more["registrations_tried"] = run.registrations_tried;
   stats.more["thresholds"] = Thresholds(settings);
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
