@@ -53,6 +53,7 @@ class Axis {
   void Include(double value) {
     low_ = std::min(low_, value);
     high_ = std::max(high_, value);
+    is_whole_ = is_whole_ && value == std::round(value);
   }
   bool Takes(double value) const { return std::isfinite(value) && (!logarithmic_ || value > 0); }
 
@@ -74,15 +75,22 @@ class Axis {
     for (const double nice : {5.0, 2.0, 1.0}) {
       if (nice * power >= 0.999 * rough) step = nice * power;
     }
+    if (is_whole_) step = std::max(step, 1.0);
     if (from_zero_) high_ = step * std::ceil(high_ / step - 1e-9);
     for (long k = std::lround(std::ceil(low_ / step - 1e-9)); static_cast<double>(k) * step <= high_ + 1e-9 * step;
          ++k) {
       ticks_.push_back(static_cast<double>(k) * step);
     }
   }
-  // 1, 2, 5 within few decades, decades alone within many.
+  // Powers of two about one; 1, 2, 5 within few decades, decades alone within many.
   void CloseLogarithmic() {
     if (from_zero_ || low_ == high_) low_ /= 1.1, high_ *= 1.1;
+    if (low_ > 0.05 && high_ < 20 && high_ < 64.1 * low_) {
+      for (double tick = 1.0 / 16; tick <= 1.001 * high_; tick *= 2) {
+        if (tick >= 0.999 * low_) ticks_.push_back(tick);
+      }
+      return;
+    }
     const double decades = std::log10(high_ / low_);
     const int stride = std::max(1, static_cast<int>(std::ceil(decades / 7)));
     for (int d = static_cast<int>(std::floor(std::log10(low_))); std::pow(10, d) <= high_; ++d) {
@@ -96,6 +104,7 @@ class Axis {
   }
 
   bool logarithmic_, from_zero_;
+  bool is_whole_ = true;  // all values
   double low_ = HUGE_VAL, high_ = -HUGE_VAL;
   std::vector<double> ticks_;
 };

@@ -157,8 +157,8 @@ void WriteChart(const Sweep& sweep, const SweepOptions& options, const std::stri
   };
   const std::string text = DrawCharts(
       "Compact pose SLAM over a threshold: " + options.path.substr(options.path.find_last_of('/') + 1),
-      {panel("Poses kept", "%", [&](const SweepRow& row) { return Percent(row.poses, sweep.poses); }),
-       panel("Links kept", "%", [&](const SweepRow& row) { return Percent(row.links, sweep.links); }),
+      {panel("Poses kept", "% of all poses", [&](const SweepRow& row) { return Percent(row.poses, sweep.poses); }),
+       panel("Links kept", "% of all links", [&](const SweepRow& row) { return Percent(row.links, sweep.links); }),
        panel("Time", "seconds", [](const SweepRow& row) { return row.seconds; }),
        panel("Absolute trajectory error", "metres", [](const SweepRow& row) { return row.ate.translation_m; })});
   WriteText(text, path);
