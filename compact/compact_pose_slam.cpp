@@ -32,14 +32,17 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   }
   if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
     throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
-  if (!(o.view_axis.norm() > 0) || !o.view_axis.allFinite()) {
+  if (!(o.distance.view_axis.norm() > 0) || !o.distance.view_axis.allFinite()) {
     throw std::invalid_argument("compact options: the view axis is zero or not finite");
   }
 }
 
 template <class Pose>
-RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to) {
-  const typename Pose::Jacobian information = T_from_to.covariance.llt().solve(Pose::Jacobian::Identity());
+RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to,
+                                     CompositionOrder order) {
+  const typename Pose::Jacobian covariance =
+      order == CompositionOrder::kFirst ? T_from_to.covariance : RetractCovariance(T_from_to);
+  const typename Pose::Jacobian information = covariance.llt().solve(Pose::Jacobian::Identity());
   return {from, to, T_from_to.T_a_b, (information + information.transpose()) / 2};
 }
 
@@ -71,13 +74,19 @@ const char* Name(PoseVerdict verdict) {
 
 template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
-    : options_(options),
-      solver_(std::make_unique<IncrementalSolver<Pose>>(options.solver)),
+    : solver_(std::make_unique<IncrementalSolver<Pose>>(options.solver)),
       marginals_(std::make_unique<IncrementalMarginals<Pose>>(*solver_)),
       reach_(std::make_unique<PoseIndex<Pose>>()) {
+  TakeOptions(options);
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::TakeOptions(const CompactOptions<Pose>& options) {
   CheckOptions(options);
+  options_ = options;
   most_innovation_ = options.innovation_quantile ? ChiSquareQuantile(*options.innovation_quantile, Pose::kDof)
                                                  : std::numeric_limits<double>::infinity();
+  searches_ = options.strategy == Strategy::kApfl || options.strategy == Strategy::kFpfl;
 }
 
 template <class Pose>
@@ -136,7 +145,7 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
   const UncertainPose<Pose> odometry = SeenFrom(previous.id, edge);
   current.base = previous.base;
   current.concatenated = !previous.kept;
-  current.T_base_current = previous.kept ? odometry : Compose(previous.T_base_pose, odometry);
+  current.T_base_current = previous.kept ? odometry : Compose(previous.T_base_pose, odometry, options_.composition);
   current.chain = current.T_base_current;
   current.T_world_body = solver_->Estimate(current.base) * current.T_base_current.T_a_b;
   return current;
@@ -268,7 +277,7 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
     if (input.odometry && !current.concatenated) {
       update.factors.push_back(*input.odometry);
     } else if (input.odometry) {
-      update.factors.push_back(Measurement(current.base, input.id, current.T_base_current));
+      update.factors.push_back(Measurement(current.base, input.id, current.T_base_current, options_.composition));
     }
     update.factors.insert(update.factors.end(), input.priors.begin(), input.priors.end());
   }
@@ -276,6 +285,7 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
   update.factors.insert(update.factors.end(), links.begin(), links.end());
   if (update.poses.empty() && update.factors.empty()) return {};
   const StepReport report = solver_->Update(update);
+  UpdateCovariances();
   const std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
   links_.insert(links_.end(), ids.begin(), ids.end());
   current.in_solver = true;
@@ -312,11 +322,10 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   Current current = Start(input);
   Decision decision;
   decision.id = input.id;
-  const bool searches = options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl;
   try {
     if (history_.empty()) {
       Keep(current, {});
-    } else if (searches) {
+    } else if (options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl) {
       std::vector<Evaluated> candidates = Evaluate(current, InReach(current));
       for (const Evaluated& e : candidates) {
         decision.pose_gain = std::min(decision.pose_gain.value_or(e.record.gain), e.record.gain);
@@ -342,9 +351,9 @@ RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryToKept(const RelativePoseFa
   const Seen &from = Find(link.from), &to = Find(link.to);
   if (from.kept && to.kept) return link;
   UncertainPose<Pose> measured = SeenFrom(link.from, link);
-  if (!from.kept) measured = Compose(from.T_base_pose, measured);
-  if (!to.kept) measured = Compose(measured, Invert(to.T_base_pose));
-  return Measurement(from.base, to.base, measured);
+  if (!from.kept) measured = Compose(from.T_base_pose, measured, options_.composition);
+  if (!to.kept) measured = Compose(measured, Invert(to.T_base_pose), options_.composition);
+  return Measurement(from.base, to.base, measured, options_.composition);
 }
 
 template <class Pose>
@@ -371,6 +380,7 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
     GraphUpdate<Pose> update;
     update.factors.push_back(carried);
     decision.factor = solver_->Update(update).factor_ids.front();
+    UpdateCovariances();
     links_.push_back(*decision.factor);
   }
   return decision;
@@ -385,7 +395,15 @@ void CompactPoseSlam<Pose>::RemoveLink(FactorId id) {
   GraphUpdate<Pose> update;
   update.removed.push_back(id);
   solver_->Update(update);
+  UpdateCovariances();
   links_.erase(it);
+}
+
+template <class Pose>
+BatchResult<Pose> CompactPoseSlam<Pose>::Finish() {
+  BatchResult<Pose> result = solver_->Finish();
+  UpdateCovariances();
+  return result;
 }
 
 template <class Pose>

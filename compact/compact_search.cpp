@@ -19,7 +19,7 @@ template <class Pose>
 void CompactPoseSlam<Pose>::UpdateSearch(int base) {
   using Jacobian = typename Pose::Jacobian;
   if (searched_version_ == solver_->Factor().Version() && searched_base_ == base) return;
-  marginals_->Update();
+  UpdateCovariances();
   const std::vector<Jacobian>& marginal = marginals_->KeptMarginals();
   const int poses = static_cast<int>(marginal.size());
   // The base is the newest pose but where odometry starts from an older one.
@@ -50,9 +50,15 @@ void CompactPoseSlam<Pose>::UpdateSearch(int base) {
   searched_base_ = base;
 }
 
+template <class Pose>
+void CompactPoseSlam<Pose>::UpdateCovariances() {
+  if (searches_) marginals_->Update();
+}
+
 // Kept poses that the distance test could accept: none that it accepts is missing. Ascending.
 template <class Pose>
 std::vector<int> CompactPoseSlam<Pose>::InReach(const Current& current) {
+  searches_ = true;
   UpdateSearch(solver_->Graph().IndexOf(current.base));
   const auto& range = options_.range;
   const UncertainPose<Pose>& chain = current.T_base_current;
@@ -64,7 +70,7 @@ std::vector<int> CompactPoseSlam<Pose>::InReach(const Current& current) {
   reach_->VisitNear(current.T_world_body.Translation(), reach, [&](int i) {
     const Spread spread = reach_->Items()[At(i)].spread.Behind(length, own);
     const Pose T_pose_current = T_pose_base_[At(i)].T_a_b * chain.T_a_b;
-    const auto mean = DisplacementMean<Pose>(T_pose_current, options_.view_axis);
+    const auto mean = DisplacementMean<Pose>(T_pose_current, options_.distance);
     const bool near = (mean.template head<Pose::kDim>().cwiseAbs().array() <=
                        range.template head<Pose::kDim>().array() + deviations * spread.metres)
                           .all();
@@ -84,7 +90,7 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
     Evaluated e;
     e.pose = i;
     e.T_pose_current = Compose(T_pose_base_[At(i)], current.T_base_current);
-    const auto displacement = ComputeDisplacement<Pose>(e.T_pose_current, options_.view_axis);
+    const auto displacement = ComputeDisplacement<Pose>(e.T_pose_current, options_.distance);
     e.record.probability = RangeProbabilities<Pose>(displacement, options_.range).minCoeff();
     if (e.record.probability <= options_.probability) continue;
     e.record.id = solver_->Graph().Poses()[At(i)].id;
@@ -95,6 +101,7 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                           \
+  template void CompactPoseSlam<Pose>::UpdateCovariances();                               \
   template void CompactPoseSlam<Pose>::UpdateSearch(int);                                 \
   template std::vector<int> CompactPoseSlam<Pose>::InReach(const Current&);               \
   template std::vector<CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate( \

@@ -1,6 +1,7 @@
 #include "terse/compact/distance.h"
 
 #include <Eigen/Eigenvalues>
+#include <algorithm>
 #include <cmath>
 
 namespace terse {
@@ -30,40 +31,80 @@ double AngleProbabilityWithin(double mean, double sigma, double limit) {
   return sum;
 }
 
-// d angle / d phi (right perturbation) for the angle between e and R e, with the covariance of phi at hand to
-// choose a direction where the gradient has none.
-Vector<3> AngleGradient(const SO3& R, const Vector<3>& e, const Matrix<3, 3>& Sigma_phi) {
-  // R Exp(phi) e = R (e + phi x e): in body coordinates the axis moves by phi x e, across e only.
-  const Vector<3> seen = R.Inverse() * e;  // the other axis in body coordinates
-  const Vector<3> across = e.cross(seen);
-  if (across.norm() > 1e-6) {
-    // Turning about (seen x e) moves e away from `seen`.
-    return -across.normalized();
-  }
+Vector<3> UnitAxis(const Vector<3>& view_axis) { return view_axis.normalized(); }
+
+// Between e and `seen`, exact at 0 and pi where the arc cosine is not.
+double AngleBetween(const Vector<3>& e, const Vector<3>& seen) { return std::atan2(e.cross(seen).norm(), e.dot(seen)); }
+
+Vector<3> NormalizedOrZero(const Vector<3>& v) {
+  const double norm = v.norm();
+  return norm > 0 ? Vector<3>(v / norm) : Vector<3>(Vector<3>::Zero());
+}
+
+double LargestEigenvalue(const Matrix<3, 3>& symmetric) {
+  const Eigen::Matrix3d aligned = symmetric;
+  return std::max(0.0,
+                  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(aligned, Eigen::EigenvaluesOnly).eigenvalues()[2]);
+}
+
+// An angle's gradient in phi (right perturbation), and how much of the variance is that of a length (header).
+struct AngleModel {
+  Vector<3> gradient = Vector<3>::Zero();
+  double first_order = 0;  // g'Sg
+  double limit = 0;        // L
+  double weight = 0;       // w
+};
+
+// k / (t^2 + k) with t = sine / cosine.
+double LengthWeight(double sine, double cosine, double k) {
+  return k > 0 ? k * cosine * cosine / (sine * sine + k * cosine * cosine) : 0;
+}
+
+AngleModel ViewAngleModel(const SO3& R, const Vector<3>& e, const Matrix<3, 3>& Sigma_phi) {
+  // R Exp(phi) e = R (e + phi x e): in body coordinates the axis moves by phi x e, across e only. Turning about
+  // (seen x e) moves it away from `seen`, the other axis there.
+  const Vector<3> seen = R.Inverse() * e;
+  const Vector<3> across = seen.cross(e);
   const Matrix<3, 3> P = Matrix<3, 3>::Identity() - e * e.transpose();
-  const Eigen::Matrix3d projected = P * Sigma_phi * P;
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(projected);
-  return P * eigen.eigenvectors().col(2);  // without variance across e any direction comes, e itself too
+  const Matrix<3, 3> S = P * Sigma_phi * P;
+  const double sine = across.norm(), cosine = e.dot(seen);
+  AngleModel model;
+  model.gradient = NormalizedOrZero(across);
+  model.first_order = model.gradient.dot(S * model.gradient);
+  model.limit = cosine > 0 ? LargestEigenvalue(S) : std::max(0.0, S.trace());
+  model.weight = LengthWeight(sine, cosine, cosine > 0 ? model.limit / 2 : 8 * model.limit);
+  return model;
+}
+
+AngleModel RotationAngleModel(const SO3& R, const Matrix<3, 3>& Sigma_phi) {
+  const Vector<3> rotation = R.Log();
+  const double half = rotation.norm() / 2;
+  AngleModel model;
+  model.gradient = NormalizedOrZero(rotation);
+  model.first_order = model.gradient.dot(Sigma_phi * model.gradient);
+  model.limit = LargestEigenvalue(Sigma_phi);
+  model.weight = LengthWeight(2 * std::sin(half), std::cos(half), model.limit / 2);
+  return model;
 }
 
 }  // namespace
 
 template <>
-Vector<3> DisplacementMean<SE2>(const SE2& T_i_n, const Vector<3>&) {
+Vector<3> DisplacementMean<SE2>(const SE2& T_i_n, const DistanceOptions&) {
   return {T_i_n.Translation().x(), T_i_n.Translation().y(), T_i_n.Theta()};
 }
 
 template <>
-Vector<4> DisplacementMean<SE3>(const SE3& T_i_n, const Vector<3>& view_axis) {
-  const Vector<3> e = view_axis.normalized();
-  const Vector<3> seen = T_i_n.Rotation() * e;
+Vector<4> DisplacementMean<SE3>(const SE3& T_i_n, const DistanceOptions& options) {
+  const Vector<3> e = UnitAxis(options.view_axis);
   Vector<4> out;
-  out << T_i_n.Translation(), std::atan2(e.cross(seen).norm(), e.dot(seen));
+  out << T_i_n.Translation(),
+      options.angle == AngleMeasure::kRotation ? T_i_n.Angle() : AngleBetween(e, T_i_n.Rotation() * e);
   return out;
 }
 
 template <>
-Displacement<SE2> ComputeDisplacement<SE2>(const UncertainPose<SE2>& T_i_n, const Vector<3>&) {
+Displacement<SE2> ComputeDisplacement<SE2>(const UncertainPose<SE2>& T_i_n, const DistanceOptions&) {
   Displacement<SE2> out;
   out.mean = DisplacementMean<SE2>(T_i_n.T_a_b);
   const Matrix<3, 3> J = SE2::LocalJacobian(out.mean);
@@ -72,15 +113,19 @@ Displacement<SE2> ComputeDisplacement<SE2>(const UncertainPose<SE2>& T_i_n, cons
 }
 
 template <>
-Displacement<SE3> ComputeDisplacement<SE3>(const UncertainPose<SE3>& T_i_n, const Vector<3>& view_axis) {
+Displacement<SE3> ComputeDisplacement<SE3>(const UncertainPose<SE3>& T_i_n, const DistanceOptions& options) {
   const SO3& R = T_i_n.T_a_b.Rotation();
-  const Vector<3> e = view_axis.normalized();
+  const Matrix<3, 3> Sigma_phi = T_i_n.covariance.bottomRightCorner<3, 3>();
+  const AngleModel model = options.angle == AngleMeasure::kRotation
+                               ? RotationAngleModel(R, Sigma_phi)
+                               : ViewAngleModel(R, UnitAxis(options.view_axis), Sigma_phi);
   Displacement<SE3> out;
-  out.mean = DisplacementMean<SE3>(T_i_n.T_a_b, view_axis);
+  out.mean = DisplacementMean<SE3>(T_i_n.T_a_b, options);
   Matrix<4, 6> J = Matrix<4, 6>::Zero();
   J.topLeftCorner<3, 3>() = R.Rotation();
-  J.bottomRightCorner<1, 3>() = AngleGradient(R, e, T_i_n.covariance.bottomRightCorner<3, 3>()).transpose();
+  J.bottomRightCorner<1, 3>() = (1 - model.weight) * model.gradient.transpose();
   out.covariance = J * T_i_n.covariance * J.transpose();
+  out.covariance(3, 3) = model.first_order + model.weight * (model.limit - model.first_order);
   return out;
 }
 

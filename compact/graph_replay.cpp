@@ -124,10 +124,10 @@ Registration<Pose> GraphReplay<Pose>::AsRegistration() {
 }
 
 template <class Pose>
-Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const Vector<3>& view_axis) const {
+Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const DistanceOptions& options) const {
   double reach = 0, angle = kLeastAngle;
   const auto include = [&](const RelativePoseFactor<Pose>& edge) {
-    const auto displacement = ComputeDisplacement<Pose>({edge.T_from_to}, view_axis).mean;
+    const auto displacement = ComputeDisplacement<Pose>({edge.T_from_to}, options).mean;
     reach = std::max(reach, displacement.template head<Pose::kDim>().norm());
     angle = std::max(angle, std::abs(displacement[Pose::kDim]));
   };

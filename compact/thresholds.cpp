@@ -15,7 +15,8 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 
 // Per degree of freedom; thresholds.h says why.
-constexpr double kLeastLoopGain = 0.5, kLeastPoseGain = 0.8;
+constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.8;
+constexpr double kPoseToLoop = 0.9;
 
 double Raise(double gain, double power) { return std::exp(power * std::log(gain + 1)) - 1; }
 
@@ -134,6 +135,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   std::vector<double> loop_gains, pose_gains;
   const auto& inputs = replay.Inputs();
   const long sample = std::min(options.most_poses, std::lround(options.share * static_cast<double>(inputs.size())));
+  out.sample_poses = sample;
   for (long k = 0; k < sample; ++k) {
     const CompactInput<Pose>& input = inputs[static_cast<std::size_t>(k)];
     if (k > 0) {
@@ -144,7 +146,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
       double least = InformationGain<Pose::kDof>(T_base_n.covariance, Sigma_y);
       for (int i = 0; i < loops; ++i) {
         const UncertainPose<Pose> T_loop_n = known.Displacement(i);
-        const auto displacement = ComputeDisplacement<Pose>(T_loop_n, everything.view_axis);
+        const auto displacement = ComputeDisplacement<Pose>(T_loop_n, options.distance);
         out.range = out.range.cwiseMax(LeastRange<Pose>(displacement, options.probability));
         least = std::min(least, InformationGain<Pose::kDof>(T_loop_n.covariance, Sigma_y));
       }
@@ -154,11 +156,13 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
     slam.AddPose(input, replay.AsRegistration());
     if (options.progress) options.progress(k + 1, sample);
   }
-  out.range = out.range.cwiseMax(replay.LinkRange());
+  out.range = out.range.cwiseMax(replay.LinkRange(options.distance));
   out.loop_gain_90 = Percentile90(loop_gains);
   out.pose_gain_90 = Percentile90(pose_gains);
-  out.min_loop_gain = std::max(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof);
-  out.min_pose_gain = std::max(Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof);
+  out.min_loop_gain =
+      std::clamp(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof, kMostLoopGain * Pose::kDof);
+  out.min_pose_gain =
+      std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * out.min_loop_gain});
   return out;
 }
 

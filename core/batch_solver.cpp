@@ -21,6 +21,8 @@ using internal::ScopedTimer;
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
+// The factor may hold so many times the factors that have weight.
+constexpr double kMostSpare = 1.01;
 constexpr size_t kChunk = 256;  // factors or poses that a thread takes at a time
 
 // The graph's factors by pose index, the fixed poses' priors behind them, and the anchor.
@@ -47,7 +49,8 @@ class Problem {
   Problem(const Problem&) = delete;
   Problem& operator=(const Problem&) = delete;
 
-  typename BlockCholesky<B>::Changes Everything(const std::vector<Pose>& values) const {
+  typename BlockCholesky<B>::Changes Everything(const std::vector<Pose>& values) {
+    Populate();
     typename BlockCholesky<B>::Changes all;
     all.new_variables = static_cast<int>(graph_.Poses().size());
     all.added = LinearizeTerms(values);
@@ -57,9 +60,9 @@ class Problem {
 
   // In the order of Everything() on an empty factor: slots 0, 1, ...
   std::vector<LinearFactor<B>> LinearizeTerms(const std::vector<Pose>& values) const {
-    std::vector<LinearFactor<B>> out(terms_.size());
-    internal::SpreadChunks(threads_, terms_.size(), kChunk, [&](size_t begin, size_t end) {
-      for (size_t k = begin; k < end; ++k) out[k] = LinearizeTerm(k, values);
+    std::vector<LinearFactor<B>> out(present_.size());
+    internal::SpreadChunks(threads_, present_.size(), kChunk, [&](size_t begin, size_t end) {
+      for (size_t k = begin; k < end; ++k) out[k] = LinearizeTerm(present_[k], values);
     });
     return out;
   }
@@ -108,6 +111,18 @@ class Problem {
     return std::all_of(held_.begin(), held_.end(), [](double w) { return w == 0 || w == 1; });
   }
   double Width() const { return width_; }
+  // Whether what Everything gave lacks a weighted factor, or has too many without weight, which cost fill-in.
+  bool IsOutdated() const {
+    size_t weighted = 0, missing = 0;
+    auto next = present_.begin();
+    for (size_t k = 0; k < terms_.size(); ++k) {
+      const bool present = next != present_.end() && *next == k, has_weight = HasWeight(k);
+      if (present) ++next;
+      weighted += has_weight;
+      missing += has_weight && !present;
+    }
+    return missing > 0 || static_cast<double>(present_.size()) > kMostSpare * static_cast<double>(weighted);
+  }
 
  private:
   struct Term {
@@ -133,6 +148,13 @@ class Problem {
       is_robust_[k++] = listed && std::holds_alternative<RelativePoseFactor<Pose>>(node.factor);
     }
     if (kernel_ == RobustKernel::kGnc) held_.assign(counted_, 1.0);
+  }
+  bool HasWeight(size_t k) const { return held_.empty() || k >= counted_ || held_[k] > 0; }
+  void Populate() {
+    present_.clear();
+    for (size_t k = 0; k < terms_.size(); ++k) {
+      if (HasWeight(k)) present_.push_back(k);
+    }
   }
   double TermChi2(size_t k, const std::vector<Pose>& values) const {
     const Term& t = terms_[k];
@@ -173,7 +195,8 @@ class Problem {
   const PoseGraph<Pose>& graph_;
   int threads_;
   std::vector<Term> terms_;
-  size_t counted_ = 0;  // terms that make up chi2
+  std::vector<size_t> present_;  // terms in the factor, ascending
+  size_t counted_ = 0;           // terms that make up chi2
   std::vector<Factor<Pose>> fixed_;
   LinearFactor<B> anchor_;
   // Of a robust run; else empty.
@@ -247,7 +270,7 @@ class Run {
       Finish(Termination::kDiverged, "chi2 is not finite at the initial values");
     } else if (BuildFactor()) {
       if (options_.robust.kernel == RobustKernel::kGnc) Graduate();
-      Iterate();
+      if (!singular_) Iterate();
     }
     result_.robust_cost = problem_.IsRobust() ? problem_.RobustCost(result_.T_world_body) : result_.chi2;
     if (problem_.IsRobust()) result_.weights = problem_.WeightsAt(result_.T_world_body);
@@ -284,6 +307,7 @@ class Run {
     Finish(Termination::kNotPositiveDefinite, singular.message);
     result_.free_motions = std::move(singular.motions);
     result_.factor = BlockCholesky<B>();
+    singular_ = true;
   }
 
   // At most so many steps.
@@ -309,6 +333,11 @@ class Run {
     linearised_here_ = factored_here_ = false;
     climbing_ = 0;
     damping_control_ = Damping();
+    if (problem_.IsOutdated()) {
+      result_.factor = BlockCholesky<B>();
+      result_.factor.SetThreads(options_.threads);
+      if (BuildFactor()) linearised_here_ = factored_here_ = true;
+    }
     return changed;
   }
 
@@ -317,20 +346,22 @@ class Run {
   void Graduate() {
     tolerance_ = kStageTolerance;
     double mu = GncStart(options_.graduate ? problem_.LargestRobustChi2(result_.T_world_body) : 0, problem_.Width());
-    for (; std::isfinite(mu) && result_.termination != Termination::kStopped; mu *= options_.robust.gnc_step) {
+    for (; std::isfinite(mu) && MayGoOn(); mu *= options_.robust.gnc_step) {
       Reweigh(mu);
-      if (problem_.HoldsOnlyZerosAndOnes()) break;
+      if (problem_.HoldsOnlyZerosAndOnes() || !MayGoOn()) break;
       Descend(kStageSteps);
-      done_ = false;
+      done_ = !MayGoOn();
     }
     tolerance_ = options_.relative_tolerance;
-    for (int round = 0; round < kMostRounds && result_.termination != Termination::kStopped; ++round) {
+    for (int round = 0; round < kMostRounds && MayGoOn(); ++round) {
       if (Reweigh(std::numeric_limits<double>::infinity()) == 0 && round > 0) break;
+      if (!MayGoOn()) break;
       done_ = false;
       Descend(options_.max_iterations);
     }
     done_ = true;
   }
+  bool MayGoOn() const { return !singular_ && result_.termination != Termination::kStopped; }
 
   void Iterate() {
     Descend(options_.max_iterations);
@@ -451,7 +482,7 @@ class Run {
   double cost_ = 0, tolerance_;
   std::optional<State> best_;  // where full steps began to climb
   int climbing_ = 0;
-  bool done_ = false;
+  bool done_ = false, singular_ = false;
   bool linearised_here_ = true;  // the factor's linear factors are those of the current values
   bool factored_here_ = true;    // and it is factored without damping
 };

@@ -6,6 +6,7 @@
 #include <type_traits>
 
 #include "generate_scene.h"
+#include "terse/core/outliers.h"
 
 namespace terse {
 namespace internal {
@@ -162,29 +163,54 @@ std::optional<Scene> SceneFromName(const std::string& name) {
 
 bool IsPlanar(Scene scene) { return scene == Scene::kManhattan; }
 
+namespace {
+
+// The next pose with all its edges.
+template <class Pose>
+using Arrive = std::function<void(PoseId id, const Pose& T_world_body, const std::vector<RelativePoseFactor<Pose>>&)>;
+
+template <class Pose>
+void GenerateTrue(const GenerateOptions& options, const Arrive<Pose>& arrive) {
+  internal::Random random(options.seed);
+  const internal::ScenePlan<Pose> plan = internal::Plan<Pose>(options, random);
+  internal::LinkFinder<Pose> finder(plan.links);
+  std::vector<Pose> poses;
+  poses.reserve(static_cast<std::size_t>(plan.poses));
+  std::vector<RelativePoseFactor<Pose>> edges;
+  for (long k = 0; k < plan.poses; ++k) {
+    poses.push_back(internal::Rounded(plan.T_world_body(k)));
+    const std::vector<long> links = finder.Next(poses);
+    edges.clear();
+    if (k > 0) edges.push_back(internal::Measure(plan, poses, k - 1, k, random));
+    for (const long j : links) edges.push_back(internal::Measure(plan, poses, j, k, random));
+    arrive({k}, poses.back(), edges);
+  }
+}
+
+}  // namespace
+
 template <class Pose>
 void Generate(const GenerateOptions& options, const GenerateSink<Pose>& sink) {
   if (IsPlanar(options.scene) != (Pose::kDim == 2)) {
     throw std::invalid_argument(IsPlanar(options.scene) ? "this scene is planar" : "this scene is three-dimensional");
   }
   if (options.poses < 0 || options.poses == 1) throw std::invalid_argument("a scene needs at least two poses");
-  internal::Random random(options.seed);
-  const internal::ScenePlan<Pose> plan = internal::Plan<Pose>(options, random);
-  internal::LinkFinder<Pose> finder(plan.links);
-  std::vector<Pose> poses;
-  poses.reserve(static_cast<std::size_t>(plan.poses));
-  for (long k = 0; k < plan.poses; ++k) {
-    poses.push_back(internal::Rounded(plan.T_world_body(k)));
-    if (sink.pose) sink.pose({k}, poses.back());
-    const std::vector<long> links = finder.Next(poses);
-    if (k == 0) continue;
-    const auto odometry = internal::Measure(plan, poses, k - 1, k, random);
-    if (sink.edge) sink.edge(odometry);
-    for (const long j : links) {
-      const auto link = internal::Measure(plan, poses, j, k, random);
-      if (sink.edge) sink.edge(link);
-    }
+  using Edges = std::vector<RelativePoseFactor<Pose>>;
+  LoopSurvey<Pose> survey(options.seed);
+  if (options.wrong_loop_percent != 0) {
+    GenerateTrue<Pose>(options, [&](PoseId id, const Pose&, const Edges& edges) { survey.Arrive(id, edges); });
   }
+  WrongLoops<Pose> wrong_loops(survey, options.wrong_loop_percent, options.seed);
+  GenerateTrue<Pose>(options, [&](PoseId id, const Pose& T_world_body, const Edges& edges) {
+    if (sink.pose) sink.pose(id, T_world_body);
+    for (const auto& edge : edges) {
+      if (sink.edge) sink.edge(edge);
+    }
+    for (const auto& edge : wrong_loops.Arrive(id, T_world_body, edges)) {
+      if (sink.wrong_loop) sink.wrong_loop(edge);
+    }
+  });
+  wrong_loops.ExpectDone();
 }
 
 template void Generate<SE2>(const GenerateOptions&, const GenerateSink<SE2>&);

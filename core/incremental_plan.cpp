@@ -169,7 +169,7 @@ void IncrementalSolver<Pose>::BindSlot(int slot, FactorId id, const Matrix<B, B>
     error_of_slot_.resize(At(slot) + 1, 0.0);
     is_suspect_.resize(At(slot) + 1, 0);
     is_listed_.resize(At(slot) + 1, 0);
-    W_of_slot_.resize(At(slot) + 1);
+    W_of_slot_.resize(At(slot) + 1, Matrix<B, B>::Zero());
   }
   if (IsRobust() && At(slot) >= is_loop_.size()) {
     is_loop_.resize(At(slot) + 1, 0);

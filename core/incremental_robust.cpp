@@ -374,11 +374,11 @@ bool IncrementalSolver<Pose>::AdmitLoops(const Loops& loops, StepReport& report)
   return changed;
 }
 
-// Who would be contradicted most, or served, if the loop were in.
+// Whom it would move most if the loop were in, and who would be served. What is in may give way by little and still
+// oppose: its conflict can be with the odometry between.
 template <class Pose>
 void IncrementalSolver<Pose>::AddContestants(Loops& contest) const {
   const Loop& loop = contest[0];
-  const double k = width_ * width_;
   const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(loop.z, loop.z);
   const std::vector<double> x = SolveBackward<B>(factor_, loop.z, S.llt().solve(loop.residual));
   const auto moved = [&](const LinearFactor<B>& f) -> Vector<B> {
@@ -386,13 +386,6 @@ void IncrementalSolver<Pose>::AddContestants(Loops& contest) const {
            f.A_second * Eigen::Map<const Vector<B>>(x.data() + At(f.second) * B);
   };
   std::vector<std::pair<double, FactorId>> against, along;
-  for (int slot = 0; slot < static_cast<int>(is_loop_.size()); ++slot) {
-    if (!is_loop_[At(slot)]) continue;
-    const Vector<B> now = LinearResidual(slot);
-    const double after = (now - moved(factor_.FactorAt(slot))).squaredNorm();
-    if (after > k && after > kNews * now.squaredNorm()) against.emplace_back(-after, factor_of_slot_[At(slot)]);
-  }
-  if (against.empty()) return;
   for (const Parked& parked : parked_) {
     if (parked.id == loop.id) continue;
     const Loop other = LoopOf(parked.id);
@@ -400,14 +393,21 @@ void IncrementalSolver<Pose>::AddContestants(Loops& contest) const {
     if (after * kNews < now) along.emplace_back(after, parked.id);
   }
   if (along.empty()) return;  // one against another: who was first stays
+  for (int slot = 0; slot < static_cast<int>(is_loop_.size()); ++slot) {
+    if (!is_loop_[At(slot)]) continue;
+    against.emplace_back(-moved(factor_.FactorAt(slot)).squaredNorm(), factor_of_slot_[At(slot)]);
+  }
   for (auto* side : {&against, &along}) {
-    std::sort(side->begin(), side->end());
-    if (side->size() > kMostContested / 2) side->resize(kMostContested / 2);
+    const auto kept = side->begin() + static_cast<long>(std::min(side->size(), kMostContested / 2));
+    std::partial_sort(side->begin(), kept, side->end());
+    side->erase(kept, side->end());
+  }
+  for (const auto* side : {&against, &along}) {
     for (const auto& entry : *side) contest.push_back(LoopOf(entry.second));
   }
 }
 
-// A |d|-linear residual, which a minimum is about.
+// At the present d.
 template <class Pose>
 Vector<Pose::kDof> IncrementalSolver<Pose>::LinearResidual(int slot) const {
   const LinearFactor<B>& f = factor_.FactorAt(slot);

@@ -15,6 +15,22 @@ namespace {
 
 bool IsBlank(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f'; }
 
+// from_chars takes no leading +.
+std::string_view WithoutPlus(std::string_view text) {
+  if (text.size() > 1 && text[0] == '+' && text[1] != '-') text.remove_prefix(1);
+  return text;
+}
+
+template <class Value>
+std::errc Parse(std::string_view text, Value* value) {
+  text = WithoutPlus(text);
+  const std::from_chars_result result = std::from_chars(text.data(), text.data() + text.size(), *value);
+  if (result.ec == std::errc() && result.ptr != text.data() + text.size()) return std::errc::invalid_argument;
+  return result.ec;
+}
+
+}  // namespace
+
 std::string ReadAll(const std::string& path) {
   namespace fs = std::filesystem;
   std::error_code error;
@@ -43,22 +59,6 @@ std::string ReadAll(const std::string& path) {
   ::close(descriptor);
   return content;
 }
-
-// from_chars takes no leading +.
-std::string_view WithoutPlus(std::string_view text) {
-  if (text.size() > 1 && text[0] == '+' && text[1] != '-') text.remove_prefix(1);
-  return text;
-}
-
-template <class Value>
-std::errc Parse(std::string_view text, Value* value) {
-  text = WithoutPlus(text);
-  const std::from_chars_result result = std::from_chars(text.data(), text.data() + text.size(), *value);
-  if (result.ec == std::errc() && result.ptr != text.data() + text.size()) return std::errc::invalid_argument;
-  return result.ec;
-}
-
-}  // namespace
 
 TextFile::TextFile(const std::string& path) : path_(path), content_(ReadAll(path)) {
   const std::size_t nul = content_.find('\0');

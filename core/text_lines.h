@@ -16,6 +16,9 @@ struct TextLine {
   std::string_view text;  // without the line end, CR or LF
 };
 
+// The bytes of a file. Throws FileError if it is missing, a folder or unreadable.
+std::string ReadAll(const std::string& path);
+
 // A file read whole. Throws FileError if it is missing, a folder, unreadable, empty or binary (holds NUL bytes).
 class TextFile {
  public:

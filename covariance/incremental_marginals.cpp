@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "kept_covariances.h"
+#include "terse/core/state_members.h"
 #include "terse/covariance/selected_inverse.h"
 
 namespace terse {
@@ -106,6 +107,16 @@ std::vector<typename Pose::Jacobian> IncrementalMarginals<Pose>::ColumnBlocks(in
   return out;
 }
 
+template <class Pose>
+template <class Archive>
+void IncrementalMarginals<Pose>::Serialize(Archive& archive) {
+  archive(state_->kept);
+}
+
+template void IncrementalMarginals<SE2>::Serialize(StateWriter&);
+template void IncrementalMarginals<SE2>::Serialize(StateReader&);
+template void IncrementalMarginals<SE3>::Serialize(StateWriter&);
+template void IncrementalMarginals<SE3>::Serialize(StateReader&);
 template class IncrementalMarginals<SE2>;
 template class IncrementalMarginals<SE3>;
 

@@ -33,6 +33,22 @@ class KeptCovariances {
   Matrix<B, B> Column(int variable) const;
   std::size_t Bytes() const;
 
+  // All that later results depend on. Where the factor was read before, the blocks are current as they were.
+  template <class Archive>
+  void Serialize(Archive& archive) {
+    bool current = IsCurrent();
+    archive(diagonals_, column_, drift_, downdates_, pause_, next_pause_, appended_, current);
+    if constexpr (Archive::kReads) {
+      const std::size_t variables = static_cast<std::size_t>(factor_->Variables());
+      if (drift_.size() != diagonals_.size() || column_.size() != diagonals_.size() * B * kStride ||
+          (current && diagonals_.size() != variables)) {
+        archive.Fail("kept covariances of another map");
+      }
+      version_ = current ? factor_->Version() : 0;
+      identity_ = current ? factor_->Identity() : 0;
+    }
+  }
+
  private:
   static constexpr int kStride = Stride(B);  // of column_
   using Changes = std::vector<typename BlockCholesky<B>::SlotChange>;

@@ -4,7 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <sstream>
 #include <string>
+#include <vector>
 
 #include "testing_command.h"
 
@@ -173,6 +175,74 @@ TEST_F(Command, GenerateMakesReadableGraphs) {
     EXPECT_EQ(Run(arguments).out, Read("g.g2o")) << "standard output is the default, same seed same bytes";
     EXPECT_NE(Run(arguments + " --seed 2").out, Read("g.g2o"));
   }
+}
+
+std::vector<std::string> Lines(const std::string& text) {
+  std::vector<std::string> lines;
+  std::istringstream stream(text);
+  for (std::string line; std::getline(stream, line);) lines.push_back(line);
+  return lines;
+}
+
+// The lines of `with` that are not those of `clean`, which come in the same order.
+std::vector<std::string> Added(const std::string& clean, const std::string& with) {
+  std::vector<std::string> added;
+  const auto all = Lines(clean);
+  std::size_t next = 0;
+  for (const std::string& line : Lines(with)) {
+    if (next < all.size() && line == all[next]) {
+      ++next;
+    } else {
+      added.push_back(line);
+    }
+  }
+  EXPECT_EQ(next, all.size());
+  return added;
+}
+
+TEST_F(Command, GenerateAddsWrongLoops) {
+  Succeed("generate manhattan --poses 600 --seed 5 --output clean.g2o --ground-truth clean.tum");
+  const double loops = Json("info clean.g2o --json")["loop_edges"];
+  Succeed(
+      "generate manhattan --poses 600 --seed 5 --output a.g2o --ground-truth a.tum --outliers 30 --outliers-list "
+      "a.csv");
+  Succeed("generate --from clean.g2o --seed 5 --output b.g2o --outliers 30 --outliers-list b.csv");
+  EXPECT_EQ(Read("a.tum"), Read("clean.tum"));
+  for (const std::string name : {"a", "b"}) {
+    const auto list = Lines(Read(name + ".csv"));
+    ASSERT_FALSE(list.empty());
+    EXPECT_EQ(list[0], "from,to");
+    EXPECT_EQ(static_cast<double>(list.size()) - 1, std::round(0.3 * loops));
+    // A file's vertices come first.
+    if (name == "b") Succeed("generate --from clean.g2o --outliers 0 --output clean.g2o");
+    const auto added = Added(Read("clean.g2o"), Read(name + ".g2o"));
+    ASSERT_EQ(added.size(), list.size() - 1);
+    for (std::size_t k = 0; k < added.size(); ++k) {
+      std::string pair = added[k].substr(added[k].find(' ') + 1);
+      std::istringstream fields(pair);
+      std::string from, to;
+      fields >> from >> to;
+      EXPECT_EQ(from + "," + to, list[k + 1]);
+    }
+  }
+  EXPECT_EQ(Succeed("generate --from clean.g2o --seed 5 --outliers 30").out, Read("b.g2o"));
+  EXPECT_NE(Succeed("generate --from clean.g2o --seed 6 --outliers 30").out, Read("b.g2o"));
+}
+
+TEST_F(Command, WrongLoopsThatCannotBeMade) {
+  Write("square.g2o", kSquare);
+  ExpectFailure("generate", 2, "SCENE or --from FILE is required");
+  ExpectFailure("generate sphere --outliers -1", 2, "-1");
+  ExpectFailure("generate sphere --outliers nan", 1, "negative");
+  ExpectFailure("generate sphere --outliers many", 2, "many");
+  ExpectFailure("generate sphere --outliers-list x.csv", 2, "--outliers");
+  ExpectFailure("generate --from square.g2o", 2, "--outliers");
+  ExpectFailure("generate sphere --from square.g2o --outliers 10", 2, "excludes");
+  ExpectFailure("generate --from square.g2o --outliers 10 --poses 5", 2, "excludes");
+  ExpectFailure("generate --from absent.g2o --outliers 10", 1, "absent.g2o: ");
+  ExpectFailure("generate --from square.g2o --outliers 100 --output x.g2o", 1, "square.g2o: 1 wrong loops asked for");
+  ExpectFailure("generate sphere --poses 2 --outliers 10 --output x.g2o --outliers-list x.csv", 1, "no loops");
+  EXPECT_EQ(FileCount(), 1);
 }
 
 TEST_F(Command, VerticesAreDeadReckoned) {

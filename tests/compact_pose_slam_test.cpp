@@ -450,8 +450,8 @@ TYPED_TEST(CompactPoseSlamTest, OptionsOutOfTheirDomainAreRefused) {
   refuse([](auto& o) { o.link_covariance.setZero(); });
   refuse([](auto& o) { o.link_covariance(0, 0) = kNan; });
   refuse([](auto& o) { o.link_covariance(0, 1) = 0.001; });
-  refuse([](auto& o) { o.view_axis.setZero(); });
-  refuse([](auto& o) { o.view_axis[0] = kInfinity; });
+  refuse([](auto& o) { o.distance.view_axis.setZero(); });
+  refuse([](auto& o) { o.distance.view_axis[0] = kInfinity; });
   refuse([](auto& o) { o.solver.relinearize_interval = 0; });
   CompactOptions<Pose> options;
   options.min_loop_gain = options.min_pose_gain = kInfinity;

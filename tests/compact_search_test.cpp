@@ -31,7 +31,7 @@ std::map<std::int64_t, Expected> Search(const PoseGraph<Pose>& graph, const std:
     seen.covariance = RelativeCovariance<Pose>(seen.T_a_b, marginals.Marginal(node.id),
                                                marginals.Cross(node.id, current), marginals.Marginal(current));
     const double probability =
-        RangeProbabilities<Pose>(ComputeDisplacement<Pose>(seen, options.view_axis), options.range).minCoeff();
+        RangeProbabilities<Pose>(ComputeDisplacement<Pose>(seen, options.distance), options.range).minCoeff();
     out[node.id.value] = {probability, InformationGain<Pose::kDof>(seen.covariance, options.link_covariance)};
   }
   return out;

@@ -9,6 +9,7 @@
 #include "terse/core/batch_solver.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/robust.h"
 #include "terse/core/trajectory.h"
 #include "terse/covariance/marginals.h"
 #include "testing_command.h"
@@ -368,6 +369,73 @@ TEST_F(SolveCommand, RefusesStepOptionsThatMeanNothing) {
   ExpectFailure(incremental + "--paper-flops", 2, "needs --steps");
   ExpectFailure(incremental + "--steps nowhere/steps.csv", 1, "nowhere");
   EXPECT_FALSE(Exists("steps.csv"));
+}
+
+// Wrong loops behind the true ones in the file.
+TEST_F(SolveCommand, RobustKernelsLeaveWrongLoopsOut) {
+  MakeScene("manhattan");
+  Succeed("solve in.g2o --output clean.g2o --stats clean.json");
+  const auto clean = ReadAs<SE2>("clean.g2o");
+  auto graph = ReadAs<SE2>("in.g2o");
+  const auto loops = LoopFactors(graph);
+  const std::size_t first_wrong = graph.Factors().size();
+  for (std::size_t k = 0; k < 10; ++k) {
+    auto wrong = std::get<RelativePoseFactor<SE2>>(graph.FindFactor(loops[k])->factor);
+    wrong.from = graph.Poses()[3 * k].id;
+    wrong.to = graph.Poses()[140 - 7 * k].id;
+    wrong.T_from_to = SE2(0.3, -0.2 * static_cast<double>(k), 0.1);
+    graph.AddFactor(wrong);
+  }
+  WriteG2o(graph, Path("wrong.g2o"));
+  for (const std::string mode : {"batch", "incremental", "incremental --every edge"}) {
+    SCOPED_TRACE(mode);
+    const auto outcome = Succeed("solve wrong.g2o --robust gnc --output out.g2o --stats stats.json --mode " + mode);
+    const auto robust = JsonFile("stats.json")["robust"];
+    EXPECT_EQ(robust["kernel"], "gnc");
+    EXPECT_NEAR(robust["width"].get<double>(), 3.3682, 1e-4);
+    EXPECT_EQ(robust["loops"], loops.size() + 10);
+    EXPECT_EQ(robust["rejected"], robust["loops_rejected"].size());
+    std::size_t found = 0;
+    for (const auto& loop : robust["loops_rejected"]) {
+      const auto& factor = graph.Factors()[loop["factor"].get<std::size_t>()].factor;
+      EXPECT_EQ(PosesOf(factor).first.value, loop["from"].get<std::int64_t>());
+      EXPECT_EQ(PosesOf(factor).second.value, loop["to"].get<std::int64_t>());
+      EXPECT_EQ(loop["weight"], 0);
+      found += loop["factor"] >= first_wrong ? 1 : 0;
+    }
+    EXPECT_EQ(found, 10u);
+    EXPECT_LE(robust["rejected"], 10 + loops.size() / 20) << "of true loops one in a hundred, give or take";
+    EXPECT_NE(outcome.out.find(" loops rejected"), std::string::npos) << outcome.out;
+    const auto out = ReadAs<SE2>("out.g2o");
+    for (std::size_t k = 0; k < out.Poses().size(); ++k) {
+      EXPECT_LT(out.Poses()[k].T_world_body->Local(*clean.Poses()[k].T_world_body).norm(), 0.3);
+    }
+  }
+  // The covariances are those without the wrong loops.
+  Succeed("solve wrong.g2o --robust gnc --covariance-output batch.csv --quiet");
+  Succeed("solve wrong.g2o --robust gnc --covariance-output steps.csv --quiet --mode incremental");
+  const auto batch = CsvRows(Read("batch.csv")), steps = CsvRows(Read("steps.csv"));
+  ASSERT_EQ(batch.size(), steps.size());
+  for (std::size_t k = 0; k < batch.size(); ++k) {
+    EXPECT_NEAR(std::stod(batch[k][1]), std::stod(steps[k][1]), 1e-6 * std::stod(batch[k][1]) + 1e-12);
+  }
+}
+
+TEST_F(SolveCommand, RobustUsageIsChecked) {
+  MakeScene("manhattan");
+  for (const std::string kernel : {"huber", "cauchy", "tukey", "dcs"}) {
+    Succeed("solve in.g2o --robust " + kernel + " --robust-width 4 --stats stats.json");
+    EXPECT_EQ(JsonFile("stats.json")["robust"]["kernel"], kernel);
+    EXPECT_EQ(JsonFile("stats.json")["robust"]["width"], 4);
+  }
+  Succeed("solve in.g2o --stats plain.json");
+  Succeed("solve in.g2o --robust none --stats stats.json");
+  EXPECT_FALSE(JsonFile("stats.json").contains("robust"));
+  EXPECT_EQ(JsonFile("stats.json")["chi2"], JsonFile("plain.json")["chi2"]);
+  ExpectFailure("solve in.g2o --robust welsch", 2, "--robust");
+  ExpectFailure("solve in.g2o --robust gnc --robust-width 0", 2, "--robust-width");
+  ExpectFailure("solve in.g2o --robust gnc --robust-width nan", 2, "--robust-width");
+  ExpectFailure("solve in.g2o --robust-width 3", 2, "--robust");
 }
 
 }  // namespace

@@ -96,6 +96,160 @@ TYPED_TEST(UncertainPoseTest, ComposedCovarianceMatchesSampling) {
   }
 }
 
+template <int N>
+Vector<N> Sample(const Matrix<N, N>& covariance, Random& rng) {
+  const Eigen::Matrix<double, N, N> aligned = covariance;
+  return aligned.llt().matrixL() * Eigen::Matrix<double, N, 1>(NormalVector<N>(rng));
+}
+
+// Rotations that move far by turning, and errors of some tenths of a radian in all directions.
+template <class Pose>
+UncertainPose<Pose> FarAndUncertain(Random& rng, double radians) {
+  constexpr int N = Pose::kDof;
+  auto out = RandomUncertain<Pose>(rng, radians);
+  const Vector<N> unit = Vector<N>::Ones() + NormalVector<N>(rng).cwiseAbs();
+  const Vector<N> scale = (radians * unit).cwiseQuotient(out.covariance.diagonal().cwiseSqrt());
+  out.covariance = scale.asDiagonal() * out.covariance * scale.asDiagonal();
+  out.covariance = (out.covariance + out.covariance.transpose()).eval() / 2;
+  return out;
+}
+
+// Relative to the truth: all eigenvalues are one if they agree.
+template <int N>
+Eigen::VectorXd RelativeEigenvalues(const Matrix<N, N>& covariance, const Matrix<N, N>& truth) {
+  const Eigen::MatrixXd a = covariance, b = truth;
+  return Eigen::GeneralizedSelfAdjointEigenSolver<Eigen::MatrixXd>(a, b, Eigen::EigenvaluesOnly).eigenvalues();
+}
+
+TYPED_TEST(UncertainPoseTest, FourthOrderIsCloserToSamples) {
+  using Pose = TypeParam;
+  constexpr int N = Pose::kDof, kSamples = 100000;
+  Random rng(11);
+  for (const double radians : {0.1, 0.2, 0.25}) {
+    const auto a = FarAndUncertain<Pose>(rng, radians), b = FarAndUncertain<Pose>(rng, radians);
+    const auto first = Compose(a, b), fourth = Compose(a, b, CompositionOrder::kFourth);
+    EXPECT_EQ((first.T_a_b.Inverse() * fourth.T_a_b).Log(), Pose().Log());
+    Matrix<N, N> sampled = Matrix<N, N>::Zero();
+    for (int s = 0; s < kSamples; ++s) {
+      const Pose moved =
+          a.T_a_b * Pose::Exp(Sample<N>(a.covariance, rng)) * b.T_a_b * Pose::Exp(Sample<N>(b.covariance, rng));
+      const Vector<N> e = (first.T_a_b.Inverse() * moved).Log();
+      sampled += e * e.transpose() / kSamples;
+    }
+    const auto off_first = RelativeEigenvalues<N>(first.covariance, sampled),
+               off_fourth = RelativeEigenvalues<N>(fourth.covariance, sampled);
+    const double error_first = (off_first.array() - 1).abs().maxCoeff(),
+                 error_fourth = (off_fourth.array() - 1).abs().maxCoeff();
+    // Sampling leaves about 2 sqrt(6 / 1e5) = 0.015.
+    EXPECT_LT(error_fourth, error_first / 2 + 0.015) << radians;
+    EXPECT_GT(off_fourth.minCoeff(), std::max(off_first.minCoeff(), 0.95)) << "where the first order is too small";
+  }
+}
+
+TYPED_TEST(UncertainPoseTest, FourthOrderTendsToTheFirst) {
+  using Pose = TypeParam;
+  Random rng(12);
+  for (int trial = 0; trial < 20; ++trial) {
+    auto a = RandomUncertain<Pose>(rng, 1), b = RandomUncertain<Pose>(rng, 1);
+    const auto difference = [&](double scale) {
+      auto x = a, y = b;
+      x.covariance *= scale * scale, y.covariance *= scale * scale;
+      return RelativeError(Compose(x, y, CompositionOrder::kFourth).covariance, Compose(x, y).covariance);
+    };
+    // Relative to the first order, the fourth is of second order.
+    EXPECT_LT(difference(1e-4), 1e-4);
+    EXPECT_NEAR(difference(1e-3) / difference(1e-4), 100, 1);
+    for (const auto order : {CompositionOrder::kFirst, CompositionOrder::kFourth}) {
+      ExpectEqual(Compose(a, UncertainPose<Pose>{}, order), a);
+      ExpectEqual(Compose(UncertainPose<Pose>{}, a, order), a);
+    }
+    b.covariance.setZero();
+    EXPECT_EQ(Compose(a, b, CompositionOrder::kFourth).covariance, Compose(a, b).covariance) << "an exact pose";
+  }
+}
+
+TYPED_TEST(UncertainPoseTest, FourthOrderIsAssociativeToSixth) {
+  using Pose = TypeParam;
+  constexpr auto kFourth = CompositionOrder::kFourth;
+  Random rng(13);
+  for (int trial = 0; trial < 20; ++trial) {
+    const auto a = RandomUncertain<Pose>(rng, 1), b = RandomUncertain<Pose>(rng, 1), c = RandomUncertain<Pose>(rng, 1);
+    const auto difference = [&](double scale) {
+      auto x = a, y = b, z = c;
+      x.covariance *= scale * scale, y.covariance *= scale * scale, z.covariance *= scale * scale;
+      const auto left = Compose(Compose(x, y, kFourth), z, kFourth),
+                 right = Compose(x, Compose(y, z, kFourth), kFourth);
+      return RelativeError(left.covariance, right.covariance);
+    };
+    const double ratio = difference(0.02) / difference(0.01);
+    EXPECT_NEAR(ratio, 16, 1) << "fourth order relative to the covariance";
+  }
+}
+
+TYPED_TEST(UncertainPoseTest, CompositionIsAlwaysACovariance) {
+  using Pose = TypeParam;
+  constexpr int N = Pose::kDof;
+  Random rng(14);
+  for (int trial = 0; trial < 300; ++trial) {
+    auto a = RandomUncertain<Pose>(rng, std::pow(10, trial % 6 - 4)),
+         b = RandomUncertain<Pose>(rng, std::pow(10, trial % 5 - 3));
+    if (trial % 3 == 0) {  // singular ones
+      const Vector<N> u = NormalVector<N>(rng);
+      a.covariance = u * u.transpose();
+    }
+    if (trial % 7 == 0) b.covariance.setZero();
+    for (const auto order : {CompositionOrder::kFirst, CompositionOrder::kFourth}) {
+      auto chain = Compose(a, b, order);
+      for (int k = 0; k < 3; ++k) chain = Compose(chain, b, order);
+      for (const Matrix<N, N>& Sigma : {chain.covariance, RetractCovariance(chain)}) {
+        ASSERT_TRUE(Sigma.allFinite());
+        EXPECT_EQ(Sigma, Sigma.transpose());
+        const auto values =
+            Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(Eigen::MatrixXd(Sigma), Eigen::EigenvaluesOnly)
+                .eigenvalues();
+        EXPECT_GE(values[0], -1e-12 * values[N - 1]);
+      }
+    }
+  }
+}
+
+// A robot drives straight for 40 m and hardly knows its heading: the end lies on an arc.
+TYPED_TEST(UncertainPoseTest, LongChainMatchesSampling) {
+  using Pose = TypeParam;
+  constexpr int N = Pose::kDof, kSteps = 40, kSamples = 20000;
+  typename Pose::Tangent forward = Pose::Tangent::Zero();
+  forward[0] = 1;
+  UncertainPose<Pose> step{Pose::Exp(forward)};
+  step.covariance.diagonal().setConstant(4e-4);
+  step.covariance.diagonal().template tail<N - Pose::kDim>().setConstant(2.5e-3);
+  UncertainPose<Pose> first, fourth;
+  for (int k = 0; k < kSteps; ++k) {
+    first = Compose(first, step);
+    fourth = Compose(fourth, step, CompositionOrder::kFourth);
+  }
+  Random rng(15);
+  Matrix<N, N> sampled = Matrix<N, N>::Zero(), in_chart = Matrix<N, N>::Zero();
+  for (int s = 0; s < kSamples; ++s) {
+    Pose moved;
+    for (int k = 0; k < kSteps; ++k) moved = moved * step.T_a_b * Pose::Exp(Sample<N>(step.covariance, rng));
+    const Vector<N> e = (first.T_a_b.Inverse() * moved).Log(), r = first.T_a_b.Local(moved);
+    sampled += e * e.transpose() / kSamples;
+    in_chart += r * r.transpose() / kSamples;
+  }
+  const auto off_first = RelativeEigenvalues<N>(first.covariance, sampled),
+             off_fourth = RelativeEigenvalues<N>(fourth.covariance, sampled),
+             off_chart_first = RelativeEigenvalues<N>(first.covariance, in_chart),
+             off_chart = RelativeEigenvalues<N>(RetractCovariance(fourth), in_chart);
+  // The chord shortens by the square of the heading's error, of which the first order knows nothing. Sampling leaves
+  // about 2 sqrt(6 / 2e4) = 0.035.
+  EXPECT_LT(off_first.minCoeff(), 0.1);
+  EXPECT_LT(off_chart_first.minCoeff(), 0.1);
+  EXPECT_GT(off_fourth.minCoeff(), 0.9);
+  EXPECT_LT(off_fourth.maxCoeff(), 1.1);
+  EXPECT_GT(off_chart.minCoeff(), 0.9);
+  EXPECT_LT(off_chart.maxCoeff(), 2);
+}
+
 TYPED_TEST(UncertainPoseTest, SeenFromEitherEnd) {
   using Pose = TypeParam;
   Random rng(4);

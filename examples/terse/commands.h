@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "terse/core/graph_file.h"
+#include "terse/core/robust.h"
 
 namespace terse {
 
@@ -25,6 +26,9 @@ void AddSweepCommand(CLI::App& app);
 
 // --rotation-information and --repair-information, for every subcommand that reads a graph.
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
+
+// --robust and --robust-width, for every subcommand that optimises.
+void AddRobustOptions(CLI::App& subcommand, RobustOptions& options);
 
 // Warnings on standard error: lines that were skipped, matrices that --repair-information clamped.
 void ReportRepairs(const GraphFile& file, const std::string& path);

@@ -1,7 +1,9 @@
 #include <algorithm>
+#include <cmath>
 #include <iostream>
 
 #include "commands.h"
+#include "policy.h"
 
 namespace terse {
 namespace {
@@ -31,6 +33,24 @@ void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
             "(g2o's definition) or of the rotation vector (as GTSAM and Ceres read it)");
   subcommand.add_flag("--repair-information", options.repair_information,
                       "Clamp the eigenvalues of information matrices that are not positive definite");
+}
+
+void AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {
+  CLI::Option* kernel =
+      AddChoice(subcommand, "--robust", options.kernel, KernelNames(),
+                "The cost of loops, which may be wrong; gnc leaves the wrong ones out (graduated non-convexity)");
+  subcommand
+      .add_option(
+          "--robust-width", options.width,
+          "Where the kernel sets in, in standard deviations: the norm of the whitened residual (by default what "
+          "one true loop in a hundred exceeds)")
+      ->check([](const std::string& text) -> std::string {
+        double width = 0;
+        if (CLI::detail::lexical_cast(text, width) && width > 0 && std::isfinite(width)) return "";
+        return text + " is not a positive number";
+      })
+      ->needs(kernel)
+      ->type_name("X");
 }
 
 void ReportRepairs(const GraphFile& file, const std::string& path) {

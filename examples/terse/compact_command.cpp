@@ -1,6 +1,7 @@
 #include <cmath>
 #include <filesystem>
 #include <iostream>
+#include <limits>
 
 #include "commands.h"
 #include "compact_run.h"
@@ -11,6 +12,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/covariance/marginals.h"
+#include "thresholds_file.h"
 
 namespace terse {
 namespace {
@@ -20,8 +22,16 @@ struct CompactCommandOptions {
   ReadOptions read;
   Strategy strategy = Strategy::kFpfl;
   std::vector<double> range;
-  double probability = 0.1;
+  std::optional<double> probability;
   std::optional<double> min_pose_gain, min_loop_gain;
+  std::string thresholds;  // a file to read them from
+  bool auto_thresholds = false;
+  std::optional<double> sample;  // share of the poses
+  std::optional<double> innovation_quantile = 0.9999;
+  CompositionOrder composition = CompositionOrder::kFirst;
+  AngleMeasure angle = AngleMeasure::kViewDirection;
+  RobustOptions robust;
+  std::uint64_t seed = 1;
   Recovery recovery = Recovery::kV2;
   bool quiet = false;
 };
@@ -45,24 +55,41 @@ std::string FindRangeDefect(const std::string& text) {
 // What the user gave; the rest from a sample of the file.
 template <class Pose>
 CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay<Pose>& replay,
-                                 const CompactCommandOptions& from) {
+                                 const CompactCommandOptions& from, Stats& stats) {
   constexpr int kSize = Displacement<Pose>::kSize;
   CompactOptions<Pose> options;
   options.strategy = from.strategy;
-  options.probability = from.probability;
+  options.distance.angle = from.angle;
+  options.composition = from.composition;
+  options.innovation_quantile = from.innovation_quantile;
+  options.solver.robust = from.robust;
   options.link_covariance = replay.LinkCovariance();
+  options.probability = from.probability.value_or(options.probability);
   const bool complete = !from.range.empty() && from.min_loop_gain && from.min_pose_gain;
-  if (!complete && from.strategy != Strategy::kApal) {
+  if (!from.thresholds.empty()) {
+    ReadThresholds(from.thresholds, options);
+  } else if (from.auto_thresholds || (!complete && from.strategy != Strategy::kApal)) {
     Progress progress("sample", 0, from.quiet);
     SampleOptions sample;
-    sample.probability = from.probability;
+    sample.probability = options.probability;
+    sample.distance = options.distance;
+    if (from.sample) {
+      sample.share = *from.sample;
+      sample.most_poses = std::numeric_limits<long>::max();
+    }
     sample.progress = [&](long done, long) { progress.Update(done); };
+    const double before = SecondsNow();
     const Thresholds<Pose> chosen = SelectThresholds(graph, sample);
     options.range = chosen.range;
     options.min_loop_gain = chosen.min_loop_gain;
     options.min_pose_gain = chosen.min_pose_gain;
+    stats.more["sample"] = {{"poses", chosen.sample_poses},
+                            {"loop_gain_90", chosen.loop_gain_90},
+                            {"pose_gain_90", chosen.pose_gain_90},
+                            {"seconds", SecondsNow() - before}};
   }
   if (!from.range.empty()) options.range = Eigen::Map<const Vector<kSize>>(from.range.data());
+  options.probability = from.probability.value_or(options.probability);
   options.min_loop_gain = from.min_loop_gain.value_or(options.min_loop_gain);
   options.min_pose_gain = from.min_pose_gain.value_or(options.min_pose_gain);
   return options;
@@ -72,7 +99,7 @@ void WriteDecisions(const std::vector<Decision>& decisions, const std::string& p
   AtomicFile file(path);
   std::ostream& out = file.Stream();
   out << "pose,kept,verdict,pose_gain_nats,registrations_tried,links_accepted,"
-         "candidates,probabilities,gains_nats,measured_gains_nats,accepted\n";
+         "candidates,probabilities,gains_nats,measured_gains_nats,accepted,innovations,links_refused,factors\n";
   for (const Decision& d : decisions) {
     out << d.id.value << ',' << (d.Kept() ? 1 : 0) << ',' << Name(d.verdict) << ','
         << (d.pose_gain ? Shortest(*d.pose_gain) : "") << ',' << d.registrations_tried << ',' << d.links_accepted;
@@ -85,6 +112,9 @@ void WriteDecisions(const std::vector<Decision>& decisions, const std::string& p
     list([](const Candidate& c) { return Shortest(c.gain); });
     list([](const Candidate& c) { return c.measured_gain ? Shortest(*c.measured_gain) : std::string("-"); });
     list([](const Candidate& c) { return std::string(c.accepted ? "1" : "0"); });
+    list([](const Candidate& c) { return c.innovation ? Shortest(*c.innovation) : std::string("-"); });
+    out << ',' << d.links_refused;
+    list([](const Candidate& c) { return c.factor ? std::to_string(c.factor->value) : std::string("-"); });
     out << '\n';
   }
   file.Commit();
@@ -120,12 +150,13 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
   const auto number = [&](const char* key) { return stats.more.at(key).get<long>(); };
   char line[256];
   std::snprintf(line, sizeof(line),
-                "%s kept %ld of %zu poses (%.1f %%) and %ld of %ld links (%.1f %%); %ld registrations tried\n",
+                "%s kept %ld of %zu poses (%.1f %%) and %ld of %ld links (%.1f %%); %ld registrations tried, %ld links "
+                "refused by the innovation test\n",
                 Name(options.strategy), number("poses_kept"), stats.poses,
                 percent(static_cast<double>(number("poses_kept")), static_cast<double>(stats.poses)),
                 number("links_kept"), number("links_offered"),
                 percent(static_cast<double>(number("links_kept")), static_cast<double>(number("links_offered"))),
-                number("registrations_tried"));
+                number("registrations_tried"), number("links_refused"));
   std::cout << line;
   std::snprintf(line, sizeof(line), "chi2 %g of the kept map, %.2f s; results in %s\n", stats.chi2, stats.seconds_total,
                 options.directory.c_str());
@@ -133,18 +164,25 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
   FlushOutput();
 }
 
+// The random baseline keeps as many poses and links as a run by information does.
 template <class Pose>
-nlohmann::ordered_json Thresholds(const CompactOptions<Pose>& options) {
-  return {{"range", std::vector<double>(options.range.data(), options.range.data() + options.range.size())},
-          {"probability", options.probability},
-          {"min_loop_gain", options.min_loop_gain},
-          {"min_pose_gain", options.min_pose_gain}};
+void DrawAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, const CompactCommandOptions& options,
+                  GraphReplay<Pose>& replay) {
+  GraphReplay<Pose> informed(graph);
+  settings.strategy = Strategy::kFpfl;
+  CompactRunOptions<Pose> run_options;
+  run_options.label = "count";
+  run_options.quiet = options.quiet;
+  const CompactRun<Pose> run = RunCompact(settings, informed, run_options);
+  replay.DrawAtRandom(run.PosesKept(), run.slam.LinksKept(), options.seed);
 }
 
 template <class Pose>
 void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& options, Stats stats, double start) {
   GraphReplay<Pose> replay(graph);
-  const CompactOptions<Pose> settings = MakeOptions(graph, replay, options);
+  const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, stats);
+  WriteThresholds(settings, options.directory + "/thresholds.json");
+  if (options.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
   CompactRunOptions<Pose> run_options;
   run_options.quiet = options.quiet;
   CompactRun<Pose> run = RunCompact(settings, replay, run_options);
@@ -167,7 +205,10 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   stats.more["links_kept"] = slam.LinksKept();
   stats.more["links_offered"] = replay.LinksOffered();
   stats.more["registrations_tried"] = run.registrations_tried;
-  stats.more["thresholds"] = Thresholds(settings);
+  stats.more["links_refused"] = run.links_refused;
+  nlohmann::ordered_json thresholds = ThresholdsToJson(settings);
+  thresholds.erase("link_covariance");
+  stats.more["thresholds"] = std::move(thresholds);
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
   if (!options.quiet) PrintSummary(stats, options);
@@ -200,9 +241,10 @@ void AddCompactCommand(CLI::App& app) {
   auto options = std::make_shared<CompactCommandOptions>();
   CLI::App* command = app.add_subcommand("compact", "Keep only the poses and links of a graph that carry information");
   command->add_option("FILE", options->path, "The graph file (g2o, TORO or iSAM)")->required();
-  AddChoice(*command, "--strategy", options->strategy,
-            {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}},
-            "All poses all links, all poses few links, or few poses few links")
+  AddChoice(
+      *command, "--strategy", options->strategy,
+      {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kRfpfl}},
+      "All poses all links, all poses few links, few poses few links, or as few at random")
       ->default_str("")
       ->required();
   command
@@ -212,10 +254,11 @@ void AddCompactCommand(CLI::App& app) {
       ->expected(3, 4)
       ->check(FindRangeDefect)
       ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
-  command->add_option("--probability", options->probability, "Least probability of being in range, per dimension")
+  command
+      ->add_option("--probability", options->probability,
+                   "Least probability of being in range, per dimension (0.1 unless a file says otherwise)")
       ->check(CLI::Range(0.0, 0.999999).description(""))
-      ->type_name("S")
-      ->capture_default_str();
+      ->type_name("S");
   command
       ->add_option("--min-pose-gain", options->min_pose_gain,
                    "A pose is kept above this gain (nats), or if a loop closes at it")
@@ -224,6 +267,40 @@ void AddCompactCommand(CLI::App& app) {
   command->add_option("--min-loop-gain", options->min_loop_gain, "A link is kept above this gain (nats)")
       ->check(CLI::NonNegativeNumber.description(""))
       ->type_name("G");
+  CLI::Option* file =
+      command
+          ->add_option("--thresholds", options->thresholds, "Read them from a thresholds.json; options above override")
+          ->type_name("FILE");
+  CLI::Option* sampled = command->add_flag("--auto-thresholds", options->auto_thresholds,
+                                           "Choose them from the first poses of the file, as if none were given");
+  command
+      ->add_option("--sample", options->sample,
+                   "Share of the poses they are chosen from, instead of 0.6 but 5000 poses at most")
+      ->check(CLI::Range(0.0, 1.0).description(""))
+      ->type_name("SHARE")
+      ->excludes(file);
+  file->excludes(sampled);
+  CLI::Option* quantile =
+      command
+          ->add_option("--innovation-quantile", options->innovation_quantile,
+                       "A link is refused whose innovation a correct one exceeds with less than the remaining "
+                       "probability")
+          ->check(CLI::Range(0.0, 0.99999999).description(""))
+          ->type_name("Q")
+          ->default_str("0.9999");
+  command
+      ->add_flag_callback(
+          "--no-innovation-test", [options] { options->innovation_quantile.reset(); },
+          "Take every link that is informative")
+      ->excludes(quantile);
+  AddRobustOptions(*command, options->robust);
+  AddChoice(*command, "--composition", options->composition,
+            {{"first", CompositionOrder::kFirst}, {"fourth", CompositionOrder::kFourth}},
+            "Order of the covariance of chains over dropped poses");
+  AddChoice(*command, "--angle", options->angle,
+            {{"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation}},
+            "The angle of the sensor range in 3D: between the view directions, or of the rotation");
+  command->add_option("--seed", options->seed, "Of --strategy rfpfl")->type_name("N")->capture_default_str();
   AddChoice(*command, "--recover", options->recovery,
             {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
             "How dropped poses come back: as first estimated, chained to the kept pose before them, or fitted between "

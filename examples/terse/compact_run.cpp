@@ -1,5 +1,6 @@
 #include "compact_run.h"
 
+#include <limits>
 #include <numeric>
 
 #include "progress.h"
@@ -21,10 +22,14 @@ CompactOptions<Pose> SettingsFrom(const Thresholds<Pose>& thresholds) {
 }
 
 template <class Pose>
-CompactOptions<Pose> SampleSettings(const PoseGraph<Pose>& graph, double share, const std::string& label, bool quiet) {
+CompactOptions<Pose> SampleSettings(const PoseGraph<Pose>& graph, std::optional<double> share, const std::string& label,
+                                    bool quiet) {
   Progress progress(label, 0, quiet);
   SampleOptions sample;
-  sample.share = share;
+  if (share) {
+    sample.share = *share;
+    sample.most_poses = std::numeric_limits<long>::max();
+  }
   sample.progress = [&](long done, long) { progress.Update(done); };
   return SettingsFrom(SelectThresholds(graph, sample));
 }
@@ -37,7 +42,7 @@ double CompactRun<Pose>::Seconds() const {
 template <class Pose>
 CompactRun<Pose> RunCompact(const CompactOptions<Pose>& settings, GraphReplay<Pose>& replay,
                             const CompactRunOptions<Pose>& options) {
-  CompactRun<Pose> run{CompactPoseSlam<Pose>(settings), {}, {}, 0, {}};
+  CompactRun<Pose> run{CompactPoseSlam<Pose>(settings), {}, {}, 0, 0, {}};
   {
     Progress progress(options.label, static_cast<long>(replay.Inputs().size()), options.quiet);
     const Registration<Pose> registration = replay.AsRegistration();
@@ -45,6 +50,7 @@ CompactRun<Pose> RunCompact(const CompactOptions<Pose>& settings, GraphReplay<Po
       const double before = SecondsNow();
       run.decisions.push_back(run.slam.AddPose(input, registration));
       run.step_seconds.push_back(SecondsNow() - before);
+      run.links_refused += run.decisions.back().links_refused;
       run.registrations_tried += run.decisions.back().registrations_tried;
       if (options.after_step) options.after_step(run.slam, run.decisions.back(), run.step_seconds.back());
       progress.Update(static_cast<long>(run.decisions.size()));
@@ -57,11 +63,12 @@ CompactRun<Pose> RunCompact(const CompactOptions<Pose>& settings, GraphReplay<Po
   return run;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                 \
-  template CompactOptions<Pose> SettingsFrom<Pose>(const Thresholds<Pose>&);                                    \
-  template CompactOptions<Pose> SampleSettings<Pose>(const PoseGraph<Pose>&, double, const std::string&, bool); \
-  template struct CompactRun<Pose>;                                                                             \
-  template CompactRun<Pose> RunCompact<Pose>(const CompactOptions<Pose>&, GraphReplay<Pose>&,                   \
+#define TERSE_INSTANTIATE(Pose)                                                                     \
+  template CompactOptions<Pose> SettingsFrom<Pose>(const Thresholds<Pose>&);                        \
+  template CompactOptions<Pose> SampleSettings<Pose>(const PoseGraph<Pose>&, std::optional<double>, \
+                                                     const std::string&, bool);                     \
+  template struct CompactRun<Pose>;                                                                 \
+  template CompactRun<Pose> RunCompact<Pose>(const CompactOptions<Pose>&, GraphReplay<Pose>&,       \
                                              const CompactRunOptions<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -2,6 +2,7 @@
 // A stored graph through compact pose SLAM from its first pose to its last.
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,16 +13,18 @@ namespace terse {
 // FPFL with the thresholds, and the link covariance they go with.
 template <class Pose>
 CompactOptions<Pose> SettingsFrom(const Thresholds<Pose>& thresholds);
-// With thresholds from a sample of the graph (SelectThresholds), under a progress line.
+// With thresholds from a sample of the graph (SelectThresholds), under a progress line. `share`: of its poses; by
+// default SelectThresholds's own.
 template <class Pose>
-CompactOptions<Pose> SampleSettings(const PoseGraph<Pose>& graph, double share, const std::string& label, bool quiet);
+CompactOptions<Pose> SampleSettings(const PoseGraph<Pose>& graph, std::optional<double> share, const std::string& label,
+                                    bool quiet);
 
 template <class Pose>
 struct CompactRun {
   CompactPoseSlam<Pose> slam;
   std::vector<Decision> decisions;
   std::vector<double> step_seconds;  // of AddPose
-  int registrations_tried = 0;
+  int registrations_tried = 0, links_refused = 0;
   BatchResult<Pose> result;  // of the kept graph
 
   int PosesKept() const { return static_cast<int>(slam.Solver().Graph().Poses().size()); }

@@ -13,7 +13,7 @@
 namespace terse {
 
 struct CompactTableOptions {
-  double sample = 0.6;  // share of the run that the thresholds are chosen from
+  std::optional<double> sample;  // share of the run that the thresholds are chosen from; absent: SelectThresholds's own
   std::uint64_t seed = 1;
   int random_runs = 3;  // of RFPFL, with the seeds from `seed` on
   bool apfl = false;

@@ -8,16 +8,38 @@
 #include "commands.h"
 #include "progress.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/batch_solver.h"
 #include "terse/core/generate.h"
+#include "terse/core/initial_values.h"
+#include "terse/core/outliers.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
 namespace {
 
 struct GenerateCommandOptions {
-  std::string scene, output, ground_truth;
+  std::string scene, from, output, ground_truth, outliers_list;
   GenerateOptions generate;
+  ReadOptions read;
   bool quiet = false;
+};
+
+// The wrong loops as CSV, if asked for.
+class OutliersList {
+ public:
+  explicit OutliersList(const std::string& path) {
+    if (!path.empty()) file_.emplace(path).Stream() << "from,to\n";
+  }
+  template <class Pose>
+  void Add(const RelativePoseFactor<Pose>& edge) {
+    if (file_) file_->Stream() << std::to_string(edge.from.value) << ',' << std::to_string(edge.to.value) << '\n';
+  }
+  void Commit() {
+    if (file_) file_->Commit();
+  }
+
+ private:
+  std::optional<AtomicFile> file_;
 };
 
 // Numbers with a space before each.
@@ -84,7 +106,8 @@ SE3 InSpace(const SE3& T) { return T; }
 
 // Writes each pose and edge as it comes. A vertex gets its dead-reckoned value, as the public sets have it.
 template <class Pose>
-void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ostream* ground_truth) {
+void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ostream* ground_truth,
+            OutliersList& outliers) {
   Progress progress("generate", options.generate.poses, options.quiet);
   Pose T_world_body_reckoned;
   GenerateSink<Pose> sink;
@@ -107,41 +130,82 @@ void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ost
     }
     graph << EdgeLine(edge);
   };
+  sink.wrong_loop = [&](const RelativePoseFactor<Pose>& edge) {
+    graph << EdgeLine(edge);
+    outliers.Add(edge);
+  };
   Generate(options.generate, sink);
 }
 
-void RunGenerate(GenerateCommandOptions options) {
-  options.generate.scene = SceneFromName(options.scene).value();
+void GenerateScene(const GenerateCommandOptions& options) {
   std::optional<AtomicFile> graph, ground_truth;
   if (!options.output.empty()) graph.emplace(options.output);
   if (!options.ground_truth.empty()) ground_truth.emplace(options.ground_truth);
+  OutliersList outliers(options.outliers_list);
   std::ostream& graph_stream = graph ? graph->Stream() : std::cout;
   std::ostream* ground_truth_stream = ground_truth ? &ground_truth->Stream() : nullptr;
-  IsPlanar(options.generate.scene) ? Stream<SE2>(options, graph_stream, ground_truth_stream)
-                                   : Stream<SE3>(options, graph_stream, ground_truth_stream);
+  IsPlanar(options.generate.scene) ? Stream<SE2>(options, graph_stream, ground_truth_stream, outliers)
+                                   : Stream<SE3>(options, graph_stream, ground_truth_stream, outliers);
   graph ? graph->Commit() : FlushOutput();
   if (ground_truth) ground_truth->Commit();
+  outliers.Commit();
+}
+
+// A file has no truth; its optimum, without the wrong loops, is the best known.
+template <class Pose>
+std::vector<Pose> Optimum(const PoseGraph<Pose>& graph) {
+  BatchResult<Pose> result = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kChordal));
+  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
+    throw NumericalError(result.message);
+  }
+  return std::move(result.T_world_body);
+}
+
+template <class Pose>
+void AddToGraph(const PoseGraph<Pose>& graph, const GenerateCommandOptions& options) {
+  OutliersList outliers(options.outliers_list);
+  GraphWithWrongLoops<Pose> out;
+  AddPathToErrors(options.from, [&] {
+    out = AddWrongLoops(graph, Optimum(graph), options.generate.wrong_loop_percent, options.generate.seed);
+  });
+  for (const FactorId id : out.wrong) {
+    outliers.Add(std::get<RelativePoseFactor<Pose>>(out.graph.FindFactor(id)->factor));
+  }
+  WriteG2o(out.graph, options.output.empty() ? "/dev/stdout" : options.output);
+  outliers.Commit();
+}
+
+void RunGenerate(GenerateCommandOptions options) {
+  if (options.from.empty()) {
+    options.generate.scene = SceneFromName(options.scene).value();
+    GenerateScene(options);
+    return;
+  }
+  const GraphFile file = ReadGraph(options.from, options.read);
+  ReportRepairs(file, options.from);
+  std::visit([&](const auto& graph) { AddToGraph(graph, options); }, file.graph);
 }
 
 }  // namespace
 
 void AddGenerateCommand(CLI::App& app) {
   auto options = std::make_shared<GenerateCommandOptions>();
-  CLI::App* command = app.add_subcommand("generate", "Make a synthetic data set with exact ground truth");
-  command
-      ->add_option("SCENE", options->scene,
-                   "ellipse (170 poses), ellipse-n (laps of an ellipse), sphere (2500), torus (5000), manhattan (2D, "
-                   "3500) or garage (1661)")
-      ->required()
-      ->check(CLI::IsMember({"ellipse", "ellipse-n", "sphere", "torus", "manhattan", "garage"}))
-      ->type_name("NAME");
-  command->add_option("--poses", options->generate.poses, "Number of poses instead of the scene's own")
-      ->check(CLI::Range(2L, 1000000000L).description(""))
-      ->type_name("N");
-  command->add_option("--laps", options->generate.laps, "Laps of ellipse-n")
-      ->check(CLI::Range(1, 1000000).description(""))
-      ->type_name("N")
-      ->capture_default_str();
+  CLI::App* command = app.add_subcommand(
+      "generate", "Make a synthetic data set with exact ground truth, or add wrong loops to a graph file");
+  CLI::Option* scene = command
+                           ->add_option("SCENE", options->scene,
+                                        "ellipse (170 poses), ellipse-n (laps of an ellipse), sphere (2500), torus "
+                                        "(5000), manhattan (2D, 3500) or garage (1661)")
+                           ->check(CLI::IsMember({"ellipse", "ellipse-n", "sphere", "torus", "manhattan", "garage"}))
+                           ->type_name("NAME");
+  CLI::Option* poses =
+      command->add_option("--poses", options->generate.poses, "Number of poses instead of the scene's own")
+          ->check(CLI::Range(2L, 1000000000L).description(""))
+          ->type_name("N");
+  CLI::Option* laps = command->add_option("--laps", options->generate.laps, "Laps of ellipse-n")
+                          ->check(CLI::Range(1, 1000000).description(""))
+                          ->type_name("N")
+                          ->capture_default_str();
   command->add_option("--seed", options->generate.seed, "Same seed, same data")
       ->check([](const std::string& text) -> std::string {
         std::uint64_t seed = 0;
@@ -152,11 +216,35 @@ void AddGenerateCommand(CLI::App& app) {
       ->type_name("N")
       ->capture_default_str();
   command->add_option("--output", options->output, "The g2o file, instead of standard output")->type_name("FILE");
-  command->add_option("--ground-truth", options->ground_truth, "The true trajectory, TUM with pose ids for stamps")
+  CLI::Option* ground_truth =
+      command->add_option("--ground-truth", options->ground_truth, "The true trajectory, TUM with pose ids for stamps")
+          ->type_name("FILE");
+  CLI::Option* outliers =
+      command
+          ->add_option("--outliers", options->generate.wrong_loop_percent,
+                       "Add wrong loops, so many per cent of the true ones; all else stays the same")
+          ->check(CLI::Range(0.0, 1e9).description(""))
+          ->type_name("P");
+  command->add_option("--outliers-list", options->outliers_list, "The wrong loops as CSV: from,to")
+      ->needs(outliers)
       ->type_name("FILE");
+  CLI::Option* from =
+      command
+          ->add_option("--from", options->from,
+                       "Add the wrong loops to this graph (g2o, TORO or iSAM) instead of a scene; the g2o written has "
+                       "its edges in online order")
+          ->needs(outliers)
+          ->type_name("FILE");
+  for (CLI::Option* of_scenes : {scene, poses, laps, ground_truth}) from->excludes(of_scenes);
+  AddReadOptions(*command, options->read);
   command->add_flag("--quiet", options->quiet, "No progress line");
-  command->footer("Example: terse generate manhattan --poses 10000 --output city.g2o --ground-truth city.tum");
-  command->callback([options] { RunGenerate(*options); });
+  command->footer(
+      "Example: terse generate manhattan --poses 10000 --output city.g2o --ground-truth city.tum\n"
+      "         terse generate --from city.g2o --outliers 10 --outliers-list wrong.csv --output wrong.g2o");
+  command->callback([options] {
+    if (options->scene.empty() && options->from.empty()) throw CLI::RequiredError("SCENE or --from FILE");
+    RunGenerate(*options);
+  });
 }
 
 }  // namespace terse

@@ -28,6 +28,14 @@ const std::vector<std::pair<std::string, Gate>>& GateNames() {
   return names;
 }
 
+const std::vector<std::pair<std::string, RobustKernel>>& KernelNames() {
+  static const std::vector<std::pair<std::string, RobustKernel>> names = {
+      {"none", RobustKernel::kNone},   {"huber", RobustKernel::kHuber}, {"cauchy", RobustKernel::kCauchy},
+      {"tukey", RobustKernel::kTukey}, {"dcs", RobustKernel::kDcs},     {"gnc", RobustKernel::kGnc},
+  };
+  return names;
+}
+
 std::string Name(Policy policy) {
   for (const auto& [name, value] : PolicyNames()) {
     if (value == policy) return name;

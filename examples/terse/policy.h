@@ -1,5 +1,5 @@
 #pragma once
-// How an incremental run re-optimises, by name.
+// How an incremental run re-optimises and what loops cost, by name.
 
 #include <string>
 #include <utility>
@@ -11,6 +11,7 @@ namespace terse {
 
 const std::vector<std::pair<std::string, Policy>>& PolicyNames();
 const std::vector<std::pair<std::string, Gate>>& GateNames();
+const std::vector<std::pair<std::string, RobustKernel>>& KernelNames();
 std::string Name(Policy policy);
 
 }  // namespace terse

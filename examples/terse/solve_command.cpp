@@ -13,6 +13,7 @@
 #include "terse/core/error.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/replay.h"
+#include "terse/core/robust.h"
 #include "terse/covariance/marginals.h"
 
 namespace terse {
@@ -37,6 +38,7 @@ struct SolveOptions {
   std::vector<double> step_tolerance;  // metres, radians
   double step_budget_ms = 0;
   bool paper_flops = false;
+  RobustOptions robust;
   int threads = 1;
   bool quiet = false;
 };
@@ -59,6 +61,7 @@ IncrementalOptions StepOptions(const SolveOptions& options) {
     (offset ? out.relinearize_radians : out.step_radians) = options.step_tolerance[1];
   }
   out.budget_seconds = options.step_budget_ms / 1000;
+  out.robust = options.robust;
   out.report_cost = !options.steps.empty();
   out.report_paper_flops = options.paper_flops;
   out.threads = options.threads;
@@ -71,6 +74,7 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
   Progress progress("iterations", 0, options.quiet);
   BatchOptions batch;
   batch.threads = options.threads;
+  batch.robust = options.robust;
   batch.progress = [&](int iteration, double) {
     progress.Update(iteration);
     return true;
@@ -123,11 +127,61 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
     values.push_back(result.T_world_body[static_cast<std::size_t>(solver.Graph().IndexOf(node.id))]);
   }
   result.T_world_body = std::move(values);
+  if (!result.weights.empty()) {
+    // From the order of arrival to the file's.
+    const std::vector<double> arrived = std::exchange(result.weights, std::vector<double>(graph.Factors().size(), 1.0));
+    auto weight = arrived.begin();
+    for (const ArrivalStep& step : ArrivalSteps(graph, options.every)) {
+      for (const int f : step.factors) result.weights[static_cast<std::size_t>(f)] = *weight++;
+    }
+  }
   for (const auto phase :
        {&PhaseSeconds::order, &PhaseSeconds::linearise, &PhaseSeconds::factor, &PhaseSeconds::solve}) {
     result.seconds.*phase += solver.Seconds().*phase;
   }
   return result;
+}
+
+// The graph whose information the result's factor holds.
+template <class Pose>
+PoseGraph<Pose> Weighted(const PoseGraph<Pose>& graph, const std::vector<double>& weights) {
+  PoseGraph<Pose> out = graph;
+  std::size_t k = 0;
+  for (const auto& node : graph.Factors()) {
+    const double weight = weights.empty() ? 1 : weights[k++];
+    if (weight == 1) continue;
+    out.RemoveFactor(node.id);
+    auto loop = std::get<RelativePoseFactor<Pose>>(node.factor);
+    loop.information *= weight;
+    if (FindDefect<Pose>(loop).empty()) out.AddFactor(loop);  // not if the weight is zero
+  }
+  return out;
+}
+
+// What the kernel made of the loops.
+template <class Pose>
+void AddRobustStats(const PoseGraph<Pose>& graph, const BatchResult<Pose>& result, const RobustOptions& robust,
+                    Stats& stats) {
+  nlohmann::ordered_json rejected = nlohmann::ordered_json::array();
+  std::size_t k = 0;
+  for (const auto& node : graph.Factors()) {
+    const double weight = result.weights[k];
+    const FactorPoses ends = PosesOf(node.factor);
+    if (weight < 0.5) {
+      rejected.push_back({{"factor", k}, {"from", ends.first.value}, {"to", ends.second.value}, {"weight", weight}});
+    }
+    ++k;
+  }
+  std::string kernel;
+  for (const auto& [name, value] : KernelNames()) {
+    if (value == robust.kernel) kernel = name;
+  }
+  stats.more["robust"] = {{"kernel", kernel},
+                          {"width", WidthOf(robust, Pose::kDof)},
+                          {"cost", result.robust_cost},
+                          {"loops", LoopFactors(graph).size()},
+                          {"rejected", rejected.size()},
+                          {"loops_rejected", rejected}};
 }
 
 template <class Pose>
@@ -137,7 +191,7 @@ void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& res
   // The factor of an incremental run numbers its variables in order of arrival: factor again in the graph's order.
   const Marginals<Pose> marginals = options.mode == Mode::kBatch
                                         ? Marginals<Pose>(graph, result.T_world_body, result.factor)
-                                        : Marginals<Pose>(graph, result.T_world_body);
+                                        : Marginals<Pose>(Weighted(graph, result.weights), result.T_world_body);
   std::vector<typename Pose::Jacobian> covariances;
   if (options.covariances == Covariances::kLast) {
     ids = {*std::max_element(ids.begin(), ids.end())};
@@ -154,6 +208,11 @@ void PrintSummary(const Stats& stats, bool output_taken) {
   out << stats.poses << " poses, " << stats.counts.edges << " edges (" << stats.counts.loop_edges
       << " loop edges)\nchi2 " << stats.chi2 << ", " << stats.termination << " after " << stats.iterations
       << (stats.iterations == 1 ? " iteration" : " iterations") << ", " << stats.seconds_total << " s\n";
+  if (stats.more.contains("robust")) {
+    const auto& robust = stats.more["robust"];
+    out << robust["rejected"] << " of " << robust["loops"] << " loops rejected, cost with "
+        << robust["kernel"].get<std::string>() << " weights " << robust["cost"].get<double>() << '\n';
+  }
   FlushOutput();
 }
 
@@ -173,6 +232,7 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
   stats.converged = result.Converged();
   stats.termination = Name(result.termination);
   stats.phases = result.seconds;
+  if (!result.weights.empty()) AddRobustStats(graph, result, options.robust, stats);
   if (options.covariances == Covariances::kLast || options.covariances == Covariances::kDiagonal) {
     const double before = SecondsNow();
     WriteCovariances(graph, result, options);
@@ -192,8 +252,8 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
   }
   if (!stats.converged && !options.quiet) std::cerr << "terse: warning: not converged: " << result.message << '\n';
   // Good starts take about ten iterations.
-  if (options.mode == Mode::kBatch && options.initial != InitialValues::kChordal && stats.iterations > 30 &&
-      !options.quiet) {
+  if (options.mode == Mode::kBatch && options.robust.kernel == RobustKernel::kNone &&
+      options.initial != InitialValues::kChordal && stats.iterations > 30 && !options.quiet) {
     std::cerr << "terse: warning: so many iterations often end in a local minimum; compare with --initial chordal\n";
   }
 }
@@ -310,6 +370,7 @@ void AddSolveCommand(CLI::App& app) {
   AddChoice(*command, "--every", options->every, {{"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge}},
             "What a step of the incremental mode brings: a pose with all its edges, or a single edge");
   const std::vector<CLI::Option*> step_options = AddStepOptions(*command, *options);
+  AddRobustOptions(*command, options->robust);
   AddReadOptions(*command, options->read);
   command->add_option("--output", options->output, "Write the solved graph (g2o)")->type_name("PATH");
   command

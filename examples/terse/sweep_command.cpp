@@ -11,6 +11,7 @@
 #include "svg_chart.h"
 #include "terse/core/atomic_file.h"
 #include "text_table.h"
+#include "thresholds_file.h"
 
 namespace terse {
 namespace {
@@ -18,10 +19,11 @@ namespace {
 enum class Scaled { kLoop, kPose, kRange };
 
 struct SweepOptions {
-  std::string path, ground_truth, csv, svg;
+  std::string path, ground_truth, thresholds, csv, svg;
   ReadOptions read;
   Scaled scaled = Scaled::kLoop;
-  double from = 0.25, to = 4, sample = 0.6;
+  double from = 0.25, to = 4;
+  std::optional<double> sample;
   int steps = 9;
   bool quiet = false;
 };
@@ -89,7 +91,12 @@ Sweep RunSweep(const PoseGraph<Pose>& graph, const SweepOptions& options) {
   }
   sweep.reference = reference.kind;
   // What the scale 1 stands for.
-  const CompactOptions<Pose> base = SampleSettings(graph, options.sample, "sample", options.quiet);
+  CompactOptions<Pose> base;
+  if (options.thresholds.empty()) {
+    base = SampleSettings(graph, options.sample, "sample", options.quiet);
+  } else {
+    ReadThresholds(options.thresholds, base);
+  }
   for (int k = 0; k < options.steps; ++k) {
     const double share = options.steps > 1 ? static_cast<double>(k) / (options.steps - 1) : 0;
     const double scale = options.from * std::pow(options.to / options.from, share);
@@ -200,10 +207,15 @@ void AddSweepCommand(CLI::App& app) {
       ->check(CLI::Range(1, 1000).description(""))
       ->type_name("N")
       ->capture_default_str();
-  command->add_option("--sample", options->sample, "Share of the run that the thresholds are chosen from")
-      ->check(CLI::Range(1e-3, 1.0).description(""))
-      ->type_name("S")
-      ->capture_default_str();
+  CLI::Option* file =
+      command->add_option("--thresholds", options->thresholds, "Read the thresholds from a thresholds.json of compact")
+          ->type_name("FILE");
+  command
+      ->add_option("--sample", options->sample,
+                   "Share of the poses that the thresholds are chosen from, instead of 0.6 but 5000 poses at most")
+      ->check(CLI::Range(0.0, 1.0).description(""))
+      ->type_name("SHARE")
+      ->excludes(file);
   command
       ->add_option("--ground-truth", options->ground_truth,
                    "What ATE is against (TUM, KITTI or a graph); by default the optimum of the full graph")

@@ -71,7 +71,7 @@ void RunTable(const Options& options) {
   if (!options.update.empty()) UpdateDocument(options.update, CompactTablesText(rows), kMark);
   if (options.json) {
     nlohmann::ordered_json json;
-    json["sample"] = options.table.sample;
+    json["sample"] = options.table.sample ? nlohmann::ordered_json(*options.table.sample) : nullptr;
     json["seed"] = options.table.seed;
     json["random_runs"] = options.table.random_runs;
     json["laps"] = options.laps;
@@ -110,10 +110,11 @@ void AddCompactTable(CLI::App& table) {
       ->type_name("NAME,...");
   command->add_option("--output", options->output, "Folder for the figures (CSV, SVG), made if it is missing")
       ->type_name("FOLDER");
-  command->add_option("--sample", options->table.sample, "Share of the run that the thresholds are chosen from")
-      ->check(CLI::Range(1e-3, 1.0).description(""))
-      ->type_name("S")
-      ->capture_default_str();
+  command
+      ->add_option("--sample", options->table.sample,
+                   "Share of the poses that the thresholds are chosen from, instead of 0.6 but 5000 poses at most")
+      ->check(CLI::Range(0.0, 1.0).description(""))
+      ->type_name("SHARE");
   command->add_option("--seed", options->table.seed, "Of the first random run")->type_name("N")->capture_default_str();
   command->add_option("--random-runs", options->table.random_runs, "How many of RFPFL the errors are the mean of")
       ->check(CLI::Range(0, 1000).description(""))

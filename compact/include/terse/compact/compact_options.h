@@ -26,7 +26,8 @@ struct CompactOptions {
   double min_pose_gain = 3.0;  // g_pose, nats
   // Covariance expected of a registration, body frame of the newer pose.
   typename Pose::Jacobian link_covariance = 0.01 * Pose::Jacobian::Identity();
-  Vector<3> view_axis = {0, 0, 1};  // body frame, 3D only
+  DistanceOptions distance;                                 // how angles are measured, 3D only
+  CompositionOrder composition = CompositionOrder::kFirst;  // of the chains over dropped poses
   // A link whose innovation a correct one exceeds with less than the remaining probability is taken for wrong, before
   // its information counts. Absent: no test. kApal and kRfpfl do not test.
   std::optional<double> innovation_quantile = 0.9999;

@@ -21,6 +21,7 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 #include <unordered_map>
 #include <vector>
 
@@ -60,7 +61,7 @@ template <class Pose>
 class CompactPoseSlam {
  public:
   // Throws std::invalid_argument if an option is out of its domain.
-  explicit CompactPoseSlam(const CompactOptions<Pose>& options);
+  explicit CompactPoseSlam(const CompactOptions<Pose>& options = {});
   ~CompactPoseSlam();
   CompactPoseSlam(CompactPoseSlam&&) noexcept;
   CompactPoseSlam& operator=(CompactPoseSlam&&) noexcept;
@@ -85,11 +86,16 @@ class CompactPoseSlam {
   const IncrementalSolver<Pose>& Solver() const { return *solver_; }
   const CompactOptions<Pose>& Options() const { return options_; }
   // Iterates the kept graph to its optimum.
-  BatchResult<Pose> Finish() { return solver_->Finish(); }
+  BatchResult<Pose> Finish();
   // All poses in order of arrival.
   std::vector<RecoveredPose<Pose>> Trajectory(Recovery recovery = Recovery::kV2) const;
   // Of any pose seen, kept or dropped, in the present map (as kV1).
   Pose Estimate(PoseId id) const;
+
+  // The whole state, versioned, checksummed, written to a temporary file and renamed (core/state_file.h). What is
+  // loaded continues bit by bit as the one saved would have, on the same build and processor family. Throw FileError.
+  void Save(const std::string& path) const;
+  static CompactPoseSlam Load(const std::string& path);
 
   int PosesSeen() const { return static_cast<int>(history_.size()); }
   int LinksKept() const { return static_cast<int>(links_.size()); }
@@ -110,6 +116,7 @@ class CompactPoseSlam {
   struct Current;    // the pose at hand
 
   // compact_pose_slam.cpp
+  void TakeOptions(const CompactOptions<Pose>& options);
   Current Start(const CompactInput<Pose>& input) const;
   void CheckPose(const CompactInput<Pose>& input) const;
   void CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
@@ -123,9 +130,15 @@ class CompactPoseSlam {
                                                    PoseId current) const;
   const Seen& Find(PoseId id) const;
   // compact_search.cpp
+  void UpdateCovariances();
   void UpdateSearch(int base);
   std::vector<int> InReach(const Current& current);
   std::vector<Evaluated> Evaluate(const Current& current, const std::vector<int>& poses) const;
+
+  // compact_state.cpp
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);
 
   CompactOptions<Pose> options_;
   double most_innovation_ = 0;  // infinite without the test
@@ -134,6 +147,7 @@ class CompactPoseSlam {
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<FactorId> links_;                  // ascending
+  bool searches_ = false;                        // covariances are kept with every change
   // Of all kept poses, as seen from them: the kept pose that the search was last made ready for, with covariances.
   std::vector<UncertainPose<Pose>> T_pose_base_;
   std::unique_ptr<PoseIndex<Pose>> reach_;

@@ -1,8 +1,8 @@
 #pragma once
 // The distance test: is one pose within sensor range of another, given what is known of their displacement?
 //
-// Ila et al., IJRR 2017, Eqs. 16-20. Displacement of n seen from i: [x y z angle] in 3D, where the angle is between the
-// view axes (so rolling about the view axis changes nothing), [x y theta] in 2D; metres and radians, in i's frame.
+// Ila et al., IJRR 2017, Eqs. 16-20. Displacement of n seen from i: [x y z angle] in 3D, [x y theta] in 2D; metres and
+// radians, in i's frame.
 
 #include "terse/compact/uncertain_pose.h"
 
@@ -15,14 +15,36 @@ struct Displacement {
   Matrix<kSize, kSize> covariance;
 };
 
-// [x y z angle] or [x y theta] of T_i_n. `view_axis` as below.
-template <class Pose>
-Vector<Displacement<Pose>::kSize> DisplacementMean(const Pose& T_i_n, const Vector<3>& view_axis = {0, 0, 1});
+// The angle of a displacement in 3D, in [0, pi]. In 2D it is theta.
+enum class AngleMeasure {
+  kViewDirection,  // between the view axes: rolling about them changes nothing
+  kRotation,       // the length of the rotation vector
+};
 
-// First-order transformation of T_i_n. `view_axis` (body frame, any length) is used in 3D only. At angles 0 and pi,
-// where its gradient has no direction, the angle takes the direction of largest variance: never too small.
+struct DistanceOptions {
+  AngleMeasure angle = AngleMeasure::kViewDirection;
+  Vector<3> view_axis = {0, 0, 1};  // body frame, any length but zero; kViewDirection in 3D only
+
+  DistanceOptions() = default;
+  DistanceOptions(AngleMeasure measure) : angle(measure) {}              // NOLINT(google-explicit-constructor)
+  DistanceOptions(const Vector<3>& direction) : view_axis(direction) {}  // NOLINT(google-explicit-constructor)
+};
+
+// [x y z angle] or [x y theta] of T_i_n.
 template <class Pose>
-Displacement<Pose> ComputeDisplacement(const UncertainPose<Pose>& T_i_n, const Vector<3>& view_axis = {0, 0, 1});
+Vector<Displacement<Pose>::kSize> DisplacementMean(const Pose& T_i_n, const DistanceOptions& options = {});
+
+// First-order transformation of T_i_n, J Sigma J', except for the angle in 3D. With g its gradient and S the covariance
+// of the errors that can change it (phi across the view axis; all of phi),
+//   variance = g'Sg + w (L - g'Sg),  w = k / (t^2 + k).
+// View direction: t = tan(angle), and from 0 to pi/2 L is S's largest eigenvalue and k = L/2, from pi/2 to pi L is its
+// trace and k = 8 L. Rotation: t = 2 tan(angle/2), L the largest eigenvalue, k = L/2. So where the angle is many
+// deviations from 0 and pi the variance is that of first order. At 0 (and at pi, for view directions) the gradient has
+// no direction and the angle is the length of a vector: there L is taken, and there is no step on the way. The
+// probabilities of Eq. 18 are then never below the true ones by more than docs/algorithms.md says. The angle's
+// covariances with the others are (1 - w) times those of first order. The variance never exceeds the trace of phi's.
+template <class Pose>
+Displacement<Pose> ComputeDisplacement(const UncertainPose<Pose>& T_i_n, const DistanceOptions& options = {});
 
 // Eq. 18 per dimension: the probability that |component| <= range, for a normal component. Angles wrap at
 // 2 pi: all of them are within a range of pi or more. The test passes when all are above a threshold.

@@ -27,7 +27,7 @@ class GraphReplay {
 
   // A sensor range that covers every link (the odometry, if there are no links): 1.5 times the longest one's length
   // in each direction, the largest angle but at least one radian.
-  Vector<Displacement<Pose>::kSize> LinkRange(const Vector<3>& view_axis = {0, 0, 1}) const;
+  Vector<Displacement<Pose>::kSize> LinkRange(const DistanceOptions& options = {}) const;
   // Mean covariance of the links (of the odometry, if there are none).
   typename Pose::Jacobian LinkCovariance() const;
 

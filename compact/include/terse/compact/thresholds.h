@@ -12,12 +12,14 @@ struct Thresholds {
   double min_loop_gain = 0, min_pose_gain = 0;  // g_loop, g_pose, nats
   typename Pose::Jacobian link_covariance;      // expected of a registration: the mean of the graph's links
   double loop_gain_90 = 0, pose_gain_90 = 0;    // l90, p90, nats: what the gains were chosen by
+  long sample_poses = 0;
 };
 
 struct SampleOptions {
   double probability = 0.1;  // s
   double share = 0.6;        // of the run's poses
   long most_poses = 5000;    // but no more than so many: the sample keeps all poses and links, which takes time
+  DistanceOptions distance;
   std::function<void(long done, long total)> progress;
 };
 
@@ -26,12 +28,12 @@ struct SampleOptions {
 // LinkRange: a map with few links knows its displacements less well than the sample's, so its own loops would fail the
 // sample's range and, once they do, all later ones. Without any loop in the sample it is LinkRange.
 // min_loop_gain: exp(1.36 ln(l90 + 1)) - 1, l90 being the 90th percentile of the links' gains as Algorithm 1 would add
-// them, best first and the rest evaluated again after each; at least 1/2 nat per degree of freedom.
+// them, best first and the rest evaluated again after each; between 1/2 and 1.5 nats per degree of freedom.
 // min_pose_gain: exp(1.7 ln(p90 + 1)) - 1, p90 being the percentile of the least gain per pose among its link to the
 // pose before and the loops it has; at least 0.8 nat per degree of freedom, which is what a registration tells of a
-// displacement known half as well (in standard deviations) as it measures. The bounds are ours: where links are many
-// or odometry is good, as on kitti00_all_loops, the percentiles are those of gains that say next to nothing.
-// Throws std::invalid_argument if the graph is empty or not connected.
+// displacement known half as well (in standard deviations) as it measures, and 0.9 of min_loop_gain. The bounds are
+// ours: where links are many or odometry is good, as on kitti00_all_loops, the percentiles are those of gains that say
+// next to nothing. Throws std::invalid_argument if the graph is empty or not connected.
 template <class Pose>
 Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options = {});
 

@@ -19,6 +19,7 @@
 #include <cstdint>
 #include <deque>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -152,6 +153,8 @@ class BlockCholesky {
   // diag(H).
   std::vector<double> Diagonal() const;
   const Vector<B>& DiagonalOf(int variable) const { return diagonal_[static_cast<std::size_t>(variable)]; }
+  // Slots so far, free ones among them.
+  int Slots() const { return static_cast<int>(factors_.size()); }
   const LinearFactor<B>& FactorAt(int slot) const { return factors_[static_cast<std::size_t>(slot)]; }
   // Slots of the living factors on a variable, ascending.
   const std::vector<int>& SlotsOf(int variable) const { return slots_of_[static_cast<std::size_t>(variable)]; }
@@ -224,6 +227,15 @@ class BlockCholesky {
   void WorkInCorrections(Front& front);
   int SumPivots(Front& front, int first_column) const;
   std::vector<int> TopDown() const;
+  // block_cholesky_state.cpp: as state_file.h says.
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);
+  template <class Archive>
+  void SerializeFront(Archive& archive, Front& front) const;
+  void RebuildDerived();
+  std::string FindTreeDefect() const;
+  std::string FindSlotDefect() const;
 
   std::vector<LinearFactor<B>> factors_;  // by slot; first is -1 for a free slot
   std::vector<Normal> normals_;           // by slot

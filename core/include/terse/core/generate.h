@@ -21,20 +21,23 @@ struct GenerateOptions {
   long poses = 0;  // 0: the scene's own default
   int laps = 10;   // kEllipseN
   std::uint64_t seed = 1;
+  // Wrong loops (outliers.h) in per cent of the true ones. All else is the same to the last bit with and without.
+  double wrong_loop_percent = 0;
 };
 
-// Receives the data in online order: pose k, then all its edges to earlier poses (odometry first).
+// Receives the data in online order: pose k, then all its edges to earlier poses (odometry first), then wrong loops.
 template <class Pose>
 struct GenerateSink {
   std::function<void(PoseId id, const Pose& T_world_body_true)> pose;
   std::function<void(const RelativePoseFactor<Pose>& edge)> edge;
+  std::function<void(const RelativePoseFactor<Pose>& edge)> wrong_loop;
 };
 
 // True for the scenes that are planar.
 bool IsPlanar(Scene scene);
 
-// Same options, same data, on every machine. Throws std::invalid_argument for a scene of the other dimension or
-// fewer than two poses.
+// Same options, same data, on every machine. Throws std::invalid_argument for a scene of the other dimension,
+// fewer than two poses, and wrong loops that cannot be made.
 template <class Pose>
 void Generate(const GenerateOptions& options, const GenerateSink<Pose>& sink);
 

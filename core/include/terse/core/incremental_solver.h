@@ -17,6 +17,7 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <string>
 #include <unordered_set>
 #include <vector>
 
@@ -75,6 +76,12 @@ class IncrementalSolver {
   const BlockCholesky<B>& Factor() const { return factor_; }
   const std::vector<Pose>& LinearizationPoints() const { return linearization_points_; }
   const PhaseSeconds& Seconds() const { return seconds_; }
+
+  // A loaded solver continues bit for bit as the saved one would have, options included: every later estimate, factor
+  // and report but for times, and what times decide (budget_seconds). Covariances made on the saved one are to be made
+  // anew. state_file.h describes the file. Both throw FileError; a file that cannot be written stays as it was.
+  void Save(const std::string& path) const;
+  static IncrementalSolver Load(const std::string& path);
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -168,6 +175,11 @@ class IncrementalSolver {
   bool MoveBy(Steps& steps, StepReport& report);
   std::vector<int> NextScope(const Steps& moved, bool neighbours) const;
   void MovePoints(int new_poses, Clock::time_point start, StepReport& report);
+  // incremental_state.cpp: as state_file.h says.
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);
+  std::string FindStateDefect() const;
 
   IncrementalOptions options_;
   PoseGraph<Pose> graph_;

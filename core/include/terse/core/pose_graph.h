@@ -19,6 +19,10 @@
 
 namespace terse {
 
+namespace internal {
+struct StateAccess;
+}
+
 // A user's name for a pose: any 64-bit number, in any order, with gaps.
 struct PoseId {
   std::int64_t value = 0;
@@ -122,6 +126,9 @@ class FactorList {
   bool Remove(FactorId id);
 
  private:
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);  // state_file.h, as in the classes below
   std::size_t PositionOf(std::size_t k) const;
   void CloseGaps();
 
@@ -152,6 +159,8 @@ class PoseGraph {
   FactorId AddFactor(const Factor<Pose>& factor);
   // False if there is no such factor (any more). O(log n) amortised.
   bool RemoveFactor(FactorId id);
+  // The id that the next factor gets.
+  FactorId NextFactorId() const { return {next_factor_id_}; }
 
   const std::vector<PoseNode>& Poses() const { return poses_; }
   // Living factors in order of arrival.
@@ -162,6 +171,10 @@ class PoseGraph {
   int IndexOf(PoseId id) const;
 
  private:
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);
+
   std::vector<PoseNode> poses_;
   std::unordered_map<std::int64_t, int> index_;
   FactorList<Pose> factors_;

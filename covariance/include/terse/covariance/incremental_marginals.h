@@ -19,6 +19,10 @@
 
 namespace terse {
 
+namespace internal {
+struct StateAccess;
+}
+
 template <class Pose>
 class IncrementalMarginals final : public PoseMarginals<Pose> {
  public:
@@ -48,6 +52,10 @@ class IncrementalMarginals final : public PoseMarginals<Pose> {
 
  private:
   struct State;
+  // core/state_file.h: what Update keeps; the solver is read before, the options are those of construction.
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);
   PoseId NewestId() const;
   int IndexOf(PoseId id) const override { return solver_->Graph().IndexOf(id); }
   Pose ValueAt(int index) const override { return solver_->EstimateAt(index); }
@@ -61,6 +69,12 @@ class IncrementalMarginals final : public PoseMarginals<Pose> {
   std::unique_ptr<State> state_;
 };
 
+class StateWriter;
+class StateReader;
+extern template void IncrementalMarginals<SE2>::Serialize(StateWriter&);
+extern template void IncrementalMarginals<SE2>::Serialize(StateReader&);
+extern template void IncrementalMarginals<SE3>::Serialize(StateWriter&);
+extern template void IncrementalMarginals<SE3>::Serialize(StateReader&);
 extern template class IncrementalMarginals<SE2>;
 extern template class IncrementalMarginals<SE3>;
 

@@ -1,0 +1,75 @@
+// What of a compact run is stored: all but what the next step works out again to the same bits.
+
+#include "compact_pose_slam_parts.h"
+#include "terse/core/state_members.h"
+
+namespace terse {
+
+template <class Archive, class Pose>
+void Serialize(Archive& archive, UncertainPose<Pose>& pose) {
+  auto& [T_a_b, covariance] = pose;
+  archive(T_a_b, covariance);
+}
+
+template <class Archive>
+void Serialize(Archive& archive, DistanceOptions& options) {
+  auto& [angle, view_axis] = options;
+  archive(angle, view_axis);
+}
+
+template <class Archive, class Pose>
+void Serialize(Archive& archive, CompactOptions<Pose>& options) {
+  auto& [strategy, range, probability, min_loop_gain, min_pose_gain, link_covariance, distance, composition,
+         innovation_quantile, solver] = options;
+  archive(strategy, range, probability, min_loop_gain, min_pose_gain, link_covariance, distance, composition,
+          innovation_quantile, solver);
+}
+
+template <class Pose>
+template <class Archive>
+void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
+  auto& [options, most_innovation, solver, marginals, history, index, links, searches, T_pose_base, reach,
+         searched_version, searched_base] = *this;
+  archive(options);
+  if constexpr (Archive::kReads) TakeOptions(options);
+  archive(*solver, *marginals, links, searches);
+  archive.Each(history, [&](Seen& seen) {
+    auto& [id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next] = seen;
+    archive(id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next);
+  });
+  if constexpr (Archive::kReads) {
+    index.clear();
+    for (const Seen& seen : history) {
+      const int at = static_cast<int>(index.size());
+      const bool is_known = solver->Graph().HasPose(seen.base) && seen.kept == (seen.id == seen.base) &&
+                            (!seen.next_kept || solver->Graph().HasPose(*seen.next_kept));
+      if (!is_known || seen.previous >= at || (seen.previous < 0) != (at == 0))
+        archive.Fail("a pose without its chain");
+      if (!index.emplace(seen.id.value, at).second) archive.Fail("a pose comes twice");
+    }
+    for (const FactorId link : links) {
+      if (solver->Graph().FindFactor(link) == nullptr) archive.Fail("a link that is not in the map");
+    }
+  }
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::Save(const std::string& path) const {
+  SaveState(path, StateKind<Pose>("compact pose SLAM"), *this);
+}
+
+template <class Pose>
+CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Load(const std::string& path) {
+  return LoadState<CompactPoseSlam>(path, StateKind<Pose>("compact pose SLAM"));
+}
+
+#define TERSE_INSTANTIATE(Pose)                                        \
+  template void CompactPoseSlam<Pose>::Serialize(StateWriter&);        \
+  template void CompactPoseSlam<Pose>::Serialize(StateReader&);        \
+  template void CompactPoseSlam<Pose>::Save(const std::string&) const; \
+  template CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Load(const std::string&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse

@@ -1,0 +1,398 @@
+// Robust kernels, and wrong loops in the batch and the incremental solver.
+
+#include "terse/core/robust.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <set>
+
+#include "shared_data.h"
+#include "terse/core/graph_file.h"
+#include "terse/core/initial_values.h"
+#include "terse/core/replay.h"
+#include "testing_incremental.h"
+
+namespace terse {
+namespace {
+
+using testing::Random;
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr RobustKernel kKernels[] = {RobustKernel::kHuber, RobustKernel::kCauchy, RobustKernel::kTukey,
+                                     RobustKernel::kDcs};
+
+TEST(RobustKernels, WeightIsTheDerivativeOfTheCost) {
+  const double c = 2.5, h = 1e-5;
+  for (const RobustKernel kernel : kKernels) {
+    for (const double s : {0.1, 1.0, 6.0, 6.5, 20.0, 1e4}) {
+      const double slope = (RobustCost(kernel, s + h, c) - RobustCost(kernel, s - h, c)) / (2 * h);
+      EXPECT_NEAR(RobustWeight(kernel, s, c), slope, 1e-5) << static_cast<int>(kernel) << " at " << s;
+    }
+  }
+  for (const double mu : {1e-3, 0.1, 1.0, 30.0}) {
+    for (const double s : {0.1, 3.0, 6.2, 9.0, 100.0, 1e4}) {
+      const double slope = (GncCost(s + h, c, mu) - GncCost(s - h, c, mu)) / (2 * h);
+      EXPECT_NEAR(GncWeight(s, c, mu), slope, 1e-4) << "mu " << mu << " at " << s;
+    }
+  }
+}
+
+TEST(RobustKernels, HaveTheLimitsOfTheirFormulas) {
+  const double c = 2.5, k = c * c;
+  for (const RobustKernel kernel : kKernels) {
+    EXPECT_EQ(RobustCost(kernel, 0, c), 0);
+    EXPECT_EQ(RobustWeight(kernel, 0, c), 1);
+    EXPECT_NEAR(RobustCost(kernel, 1e-6, c), 1e-6, 1e-11) << "least squares for small residuals";
+    EXPECT_LT(RobustWeight(kernel, 1e12, c), 1e-5);
+    EXPECT_LE(RobustCost(kernel, k, c), k);
+  }
+  EXPECT_NEAR(RobustCost(RobustKernel::kTukey, 1e9, c), k / 3, 1e-12);
+  EXPECT_NEAR(RobustCost(RobustKernel::kDcs, 1e12, c), 3 * k, 1e-9);
+  EXPECT_EQ(RobustCost(RobustKernel::kGnc, 1e9, c), k);
+  EXPECT_EQ(RobustWeight(RobustKernel::kGnc, 0.99 * k, c), 1);
+  EXPECT_EQ(RobustWeight(RobustKernel::kGnc, 1.01 * k, c), 0);
+  EXPECT_EQ(RobustCost(RobustKernel::kNone, 1e9, c), 1e9);
+  for (const double s : {0.5 * k, 0.99 * k, 1.01 * k, 5 * k}) {
+    EXPECT_NEAR(GncWeight(s, c, 1e9), RobustWeight(RobustKernel::kGnc, s, c), 1e-6);
+    EXPECT_EQ(GncWeight(s, c, kInfinity), RobustWeight(RobustKernel::kGnc, s, c));
+    EXPECT_NEAR(GncCost(s, c, 1e9), std::min(s, k), 1e-6);
+  }
+  // The start leaves even the worst factor a weight, below that of all others.
+  const double mu = GncStart(1e6, c);
+  EXPECT_GT(GncWeight(1e6, c, mu), 0);
+  EXPECT_LT(GncWeight(1e6, c, mu), GncWeight(1e3, c, mu));
+  EXPECT_EQ(GncStart(k, c), kInfinity);
+}
+
+TEST(RobustKernels, QuantilesAreThoseOfTables) {
+  EXPECT_NEAR(ChiSquareQuantile(0.99, 1), 6.6349, 1e-4);
+  EXPECT_NEAR(ChiSquareQuantile(0.99, 3), 11.3449, 1e-4);
+  EXPECT_NEAR(ChiSquareQuantile(0.99, 6), 16.8119, 1e-4);
+  EXPECT_NEAR(ChiSquareQuantile(0.5, 2), 2 * std::log(2.0), 1e-12);
+  EXPECT_NEAR(ChiSquareQuantile(0.05, 10), 3.9403, 1e-4);
+  EXPECT_LT(ChiSquareQuantile(0, 4), 1e-6);
+  EXPECT_NEAR(DefaultRobustWidth(RobustKernel::kGnc, 3), std::sqrt(11.3449), 1e-4);
+  EXPECT_THROW(ChiSquareQuantile(1, 3), std::invalid_argument);
+  EXPECT_THROW(ChiSquareQuantile(0.5, 0), std::invalid_argument);
+}
+
+// A graph, and the same with wrong loops behind the true ones.
+template <class Pose>
+struct Scene {
+  PoseGraph<Pose> clean, graph;
+  std::vector<FactorId> wrong;
+  BatchResult<Pose> optimum;  // of the clean one
+};
+
+// Wrong loops join random poses, as if they were close to each other.
+template <class Pose>
+std::vector<FactorId> AddWrongLoops(Random& rng, PoseGraph<Pose>& graph, std::size_t count) {
+  std::vector<FactorId> ids;
+  while (ids.size() < count) {
+    const auto pick = [&] { return graph.Poses()[rng() % graph.Poses().size()].id; };
+    const PoseId from = pick(), to = pick();
+    if (std::abs(from.value - to.value) < 5) continue;
+    ids.push_back(graph.AddFactor(RelativePoseFactor<Pose>{from, to, testing::RandomMotion<Pose>(rng, 1, 0.3),
+                                                           testing::RandomInformation<Pose::kDof>(rng, 100)}));
+  }
+  return ids;
+}
+
+template <class Pose>
+Scene<Pose> MakeScene(std::uint64_t seed, double share) {
+  Random rng(seed);
+  Scene<Pose> scene;
+  scene.clean = testing::MakeRandomGraph<Pose>(rng, {80, 0.8, 0.02}).graph;
+  scene.optimum = SolveBatch(scene.clean, ComputeInitialValues(scene.clean, InitialValues::kFile));
+  scene.graph = scene.clean;
+  const double loops = static_cast<double>(LoopFactors(scene.clean).size());
+  scene.wrong = AddWrongLoops(rng, scene.graph, static_cast<std::size_t>(share * loops));
+  return scene;
+}
+
+// As seen from the first pose: where that is differs between the modes.
+template <class Pose>
+double LargestDifference(const std::vector<Pose>& a, const std::vector<Pose>& b) {
+  double largest = 0;
+  for (std::size_t i = 1; i < a.size(); ++i) {
+    largest = std::max(largest, (a[0].Inverse() * a[i]).Local(b[0].Inverse() * b[i]).norm());
+  }
+  return largest;
+}
+
+BatchOptions With(RobustKernel kernel) {
+  BatchOptions options;
+  options.robust.kernel = kernel;
+  return options;
+}
+IncrementalOptions StepsWith(RobustKernel kernel) {
+  IncrementalOptions options;
+  options.robust.kernel = kernel;
+  return options;
+}
+
+// Feeds the graph pose by pose; by[k]: the solver's id of the graph's k-th factor.
+template <class Pose>
+std::vector<FactorId> Feed(const PoseGraph<Pose>& graph, IncrementalSolver<Pose>& solver) {
+  std::vector<FactorId> by(graph.Factors().size());
+  std::vector<std::vector<std::size_t>> of(graph.Poses().size());
+  std::size_t k = 0;
+  for (const auto& node : graph.Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    of[static_cast<std::size_t>(std::max(graph.IndexOf(ends.first), graph.IndexOf(ends.second)))].push_back(k++);
+  }
+  const auto updates = testing::OnePosePerUpdate(graph);
+  for (std::size_t p = 0; p < updates.size(); ++p) {
+    const StepReport report = solver.Update(updates[p]);
+    for (std::size_t i = 0; i < of[p].size(); ++i) by[of[p][i]] = report.factor_ids[i];
+  }
+  return by;
+}
+
+template <class Pose>
+class RobustTest : public ::testing::Test {};
+using Poses = ::testing::Types<SE2, SE3>;
+TYPED_TEST_SUITE(RobustTest, Poses);
+
+TYPED_TEST(RobustTest, LoopsAreWhatOdometryDoesNotNeed) {
+  const auto scene = MakeScene<TypeParam>(1, 0.3);
+  const auto loops = LoopFactors(scene.graph);
+  EXPECT_EQ(loops.size() + scene.graph.Poses().size() - 1, scene.graph.Factors().size());
+  for (const FactorId id : scene.wrong) EXPECT_TRUE(std::binary_search(loops.begin(), loops.end(), id));
+  std::set<PoseId> reached;
+  for (const auto& node : scene.graph.Factors()) {
+    const auto ends = PosesOf(node.factor);
+    if (ends.first.value + 1 != ends.second.value || !reached.insert(ends.second).second) continue;
+    EXPECT_FALSE(std::binary_search(loops.begin(), loops.end(), node.id)) << "odometry comes first";
+  }
+}
+
+TYPED_TEST(RobustTest, BatchFindsTheCleanSolution) {
+  for (const std::uint64_t seed : {1, 2, 3}) {
+    SCOPED_TRACE(seed);
+    const auto scene = MakeScene<TypeParam>(seed, 0.3);
+    const auto start = ComputeInitialValues(scene.graph, InitialValues::kCompose);
+    const auto plain = SolveBatch(scene.graph, start);
+    EXPECT_GT(LargestDifference(plain.T_world_body, scene.optimum.T_world_body), 0.3) << "wrong loops do harm";
+    const auto gnc = SolveBatch(scene.graph, start, With(RobustKernel::kGnc));
+    ASSERT_TRUE(gnc.Converged()) << gnc.message;
+    EXPECT_LT(LargestDifference(gnc.T_world_body, scene.optimum.T_world_body), 1e-6);
+    std::size_t k = 0;
+    for (const auto& node : scene.graph.Factors()) {
+      EXPECT_EQ(gnc.weights[k++], node.id < scene.wrong.front() ? 1 : 0);
+    }
+    const double width = DefaultRobustWidth(RobustKernel::kGnc, TypeParam::kDof);
+    EXPECT_NEAR(gnc.robust_cost, scene.optimum.chi2 + static_cast<double>(scene.wrong.size()) * width * width, 1e-6);
+    EXPECT_GT(gnc.chi2, 10 * gnc.robust_cost) << "without weights";
+    // The factor is that of the clean graph.
+    EXPECT_NEAR(gnc.log_determinant, scene.optimum.log_determinant, 1e-6);
+    // Scaling by the covariances leaves wrong loops a little weight.
+    const auto dcs = SolveBatch(scene.graph, start, With(RobustKernel::kDcs));
+    EXPECT_LT(LargestDifference(dcs.T_world_body, scene.optimum.T_world_body), 0.05);
+  }
+}
+
+TYPED_TEST(RobustTest, IncrementalFindsItStepByStep) {
+  for (const std::uint64_t seed : {1, 2, 3}) {
+    SCOPED_TRACE(seed);
+    const auto scene = MakeScene<TypeParam>(seed, 0.3);
+    IncrementalSolver<TypeParam> solver(StepsWith(RobustKernel::kGnc));
+    const auto by = Feed(scene.graph, solver);
+    EXPECT_LT(LargestDifference(solver.Estimates(), scene.optimum.T_world_body), 0.02) << "before Finish";
+    std::size_t k = 0;
+    for (const auto& node : scene.graph.Factors()) {
+      EXPECT_EQ(solver.WeightOf(by[k++]), node.id < scene.wrong.front() ? 1 : 0);
+    }
+    const auto batch = SolveBatch(scene.graph, scene.optimum.T_world_body, With(RobustKernel::kGnc));
+    EXPECT_LT(solver.RobustChi2(), 1.001 * batch.robust_cost);
+    const auto finished = solver.Finish();
+    EXPECT_LT(finished.robust_cost, batch.robust_cost * (1 + 1e-8));
+    EXPECT_NEAR(solver.RobustChi2(), finished.robust_cost, 1e-8 * finished.robust_cost);
+    EXPECT_LT(LargestDifference(solver.Estimates(), scene.optimum.T_world_body), 1e-6);
+    EXPECT_NEAR(solver.LogDeterminant(), scene.optimum.log_determinant, 1e-6);
+  }
+}
+
+TYPED_TEST(RobustTest, ReweightedStepsEndWhereBatchDoes) {
+  const auto scene = MakeScene<TypeParam>(4, 0.15);
+  for (const RobustKernel kernel : kKernels) {
+    SCOPED_TRACE(static_cast<int>(kernel));
+    IncrementalSolver<TypeParam> solver(StepsWith(kernel));
+    Feed(scene.graph, solver);
+    for (const TypeParam& T : solver.Estimates()) EXPECT_LT(T.Translation().norm(), 500);
+    const auto batch = SolveBatch(scene.graph, scene.optimum.T_world_body, With(kernel));
+    EXPECT_LT(solver.RobustChi2(), 1.05 * batch.robust_cost);
+    const auto finished = solver.Finish();
+    EXPECT_LT(finished.robust_cost, batch.robust_cost * 1.01) << "another local minimum at most";
+    EXPECT_NEAR(solver.RobustChi2(), finished.robust_cost, 1e-6 * finished.robust_cost);
+  }
+}
+
+TYPED_TEST(RobustTest, OtherCarryJudgesLoopsToo) {
+  const auto scene = MakeScene<TypeParam>(5, 0.3);
+  IncrementalOptions options = PolicyOptions(Policy::kGni);
+  options.robust.kernel = RobustKernel::kGnc;
+  IncrementalSolver<TypeParam> solver(options);
+  Feed(scene.graph, solver);
+  EXPECT_LT(LargestDifference(solver.Estimates(), scene.optimum.T_world_body), 0.1);
+  solver.Finish();
+  EXPECT_LT(LargestDifference(solver.Estimates(), scene.optimum.T_world_body), 1e-5) << "the unit anchor pulls nothing";
+}
+
+TYPED_TEST(RobustTest, WithoutKernelNothingChanges) {
+  const auto scene = MakeScene<TypeParam>(6, 0.1);
+  IncrementalOptions other;
+  other.robust.width = 0.5;
+  other.robust.gnc_step = 3;
+  other.reweigh_tolerance = 1;
+  IncrementalSolver<TypeParam> a, b(other);
+  const auto by = Feed(scene.graph, a);
+  Feed(scene.graph, b);
+  EXPECT_EQ(a.Chi2(), b.Chi2());
+  EXPECT_EQ(a.RobustChi2(), a.Chi2());
+  EXPECT_EQ(a.LogDeterminant(), b.LogDeterminant());
+  EXPECT_EQ(LargestDifference(a.Estimates(), b.Estimates()), 0);
+  for (const FactorId id : by) EXPECT_EQ(a.WeightOf(id), 1);
+  const auto batch = SolveBatch(scene.graph, scene.optimum.T_world_body);
+  EXPECT_TRUE(batch.weights.empty());
+  EXPECT_EQ(batch.robust_cost, batch.chi2);
+}
+
+// What would be left out anyway, and what has been let in, can both be taken away.
+TYPED_TEST(RobustTest, RemovedLoopsLeaveNoTrace) {
+  const auto scene = MakeScene<TypeParam>(7, 0.3);
+  for (const RobustKernel kernel : {RobustKernel::kDcs, RobustKernel::kGnc}) {
+    SCOPED_TRACE(static_cast<int>(kernel));
+    IncrementalSolver<TypeParam> solver(StepsWith(kernel));
+    const auto by = Feed(scene.graph, solver);
+    std::size_t k = 0;
+    for (const auto& node : scene.graph.Factors()) {
+      const FactorId id = by[k++];
+      if (node.id < scene.wrong.front()) continue;
+      solver.Update({{}, {}, {id}});
+      EXPECT_THROW(solver.WeightOf(id), std::invalid_argument);
+    }
+    EXPECT_EQ(solver.Graph().Factors().size(), scene.clean.Factors().size());
+    const auto finished = solver.Finish();
+    EXPECT_NEAR(finished.chi2, scene.optimum.chi2, 1e-6 * scene.optimum.chi2);
+    EXPECT_LT(LargestDifference(solver.Estimates(), scene.optimum.T_world_body), 1e-6);
+    EXPECT_NEAR(solver.LogDeterminant(), scene.optimum.log_determinant, 1e-6);
+  }
+}
+
+TYPED_TEST(RobustTest, AllLoopsWrongLeavesOdometry) {
+  Random rng(8);
+  auto odometry = testing::MakeRandomGraph<TypeParam>(rng, {60, 0, 0.02}).graph;
+  const auto composed = ComputeInitialValues(odometry, InitialValues::kCompose);
+  auto graph = odometry;
+  const auto wrong = AddWrongLoops(rng, graph, 30);
+  for (const RobustKernel kernel : {RobustKernel::kTukey, RobustKernel::kDcs, RobustKernel::kGnc}) {
+    SCOPED_TRACE(static_cast<int>(kernel));
+    const auto batch = SolveBatch(graph, composed, With(kernel));
+    IncrementalSolver<TypeParam> solver(StepsWith(kernel));
+    Feed(graph, solver);
+    for (const auto& values : {batch.T_world_body, solver.Estimates()}) {
+      for (const TypeParam& T : values) {
+        ASSERT_TRUE(IsFinite(T));
+        EXPECT_LT(T.Translation().norm(), 200);
+      }
+    }
+    const double width = DefaultRobustWidth(kernel, TypeParam::kDof);
+    EXPECT_LE(batch.robust_cost, static_cast<double>(wrong.size()) * 3 * width * width)
+        << "no more than odometry alone";
+    const auto finished = solver.Finish();
+    EXPECT_TRUE(finished.Converged()) << finished.message;
+  }
+}
+
+// A wrong loop that nothing contradicted yet goes when true ones come that agree with each other; and one of those is
+// enough if the wrong one has been taken away.
+TYPED_TEST(RobustTest, LaterEvidenceChangesTheVerdict) {
+  constexpr int kPoses = 40;
+  typename TypeParam::Tangent d = TypeParam::Tangent::Zero(), wrong_by = d;
+  d[0] = 1;
+  wrong_by[1] = 1.5;
+  const TypeParam step = TypeParam().Retract(d);
+  std::vector<TypeParam> truth(kPoses);
+  for (std::size_t k = 1; k < kPoses; ++k) truth[k] = truth[k - 1] * step;
+  using Information = typename TypeParam::Jacobian;
+  // 0.1 m a step, 0.6 m over all; two loops that differ by 1.5 m are at odds unless many steps lie between their ends.
+  const Information strong = 1e4 * Information::Identity();
+  Information weak = 1e6 * Information::Identity();
+  weak.template topLeftCorner<TypeParam::kDim, TypeParam::kDim>() *= 1e-4;
+  const auto loop = [&](int i, int j, const TypeParam& error) -> Factor<TypeParam> {
+    const auto at = [&](int k) { return truth[static_cast<std::size_t>(k)]; };
+    return RelativePoseFactor<TypeParam>{PoseId{i}, PoseId{j}, at(i).Inverse() * at(j) * error, strong};
+  };
+  for (const bool wrong_goes_first : {false, true}) {
+    SCOPED_TRACE(wrong_goes_first);
+    IncrementalSolver<TypeParam> solver(StepsWith(RobustKernel::kGnc));
+    solver.Update({{{PoseId{0}}}, {}, {}});
+    for (int k = 1; k < kPoses; ++k) {
+      solver.Update({{{PoseId{k}}}, {RelativePoseFactor<TypeParam>{PoseId{k - 1}, PoseId{k}, step, weak}}, {}});
+    }
+    const auto add = [&](const Factor<TypeParam>& f) { return solver.Update({{}, {f}, {}}).factor_ids[0]; };
+    const FactorId wrong = add(loop(0, kPoses - 1, TypeParam().Retract(wrong_by)));
+    EXPECT_EQ(solver.WeightOf(wrong), 1) << "within what odometry leaves open";
+    const FactorId first = add(loop(0, kPoses - 2, TypeParam()));
+    EXPECT_EQ(solver.WeightOf(first), 0) << "one against one: the other was there first";
+    if (wrong_goes_first) {
+      solver.Update({{}, {}, {wrong}});
+      for (int k = 0; k < 20; ++k) solver.Update({});
+    } else {
+      for (const int i : {1, 2, 3}) add(loop(i, kPoses - 1 - i, TypeParam()));
+      for (int k = 0; k < 20; ++k) solver.Update({});
+      EXPECT_EQ(solver.WeightOf(wrong), 0);
+    }
+    EXPECT_EQ(solver.WeightOf(first), 1);
+    EXPECT_LT(LargestDifference(solver.Estimates(), truth), 0.05);
+  }
+}
+
+TYPED_TEST(RobustTest, MisuseIsRefused) {
+  IncrementalOptions options = StepsWith(RobustKernel::kGnc);
+  IncrementalSolver<TypeParam> solver(options);
+  EXPECT_THROW(solver.WeightOf(FactorId{0}), std::invalid_argument);
+  options.robust.width = -1;
+  EXPECT_THROW(IncrementalSolver<TypeParam>{options}, std::invalid_argument);
+  options.robust.width = 0;
+  options.robust.gnc_step = 1;
+  EXPECT_THROW(IncrementalSolver<TypeParam>{options}, std::invalid_argument);
+  const auto scene = MakeScene<TypeParam>(9, 0.1);
+  BatchOptions batch = With(RobustKernel::kGnc);
+  batch.robust.width = std::nan("");
+  EXPECT_THROW(SolveBatch(scene.graph, scene.optimum.T_world_body, batch), std::invalid_argument);
+}
+
+// 30 % wrong loops on a public graph: the clean optimum stays where it is, online too.
+TEST(Robust, ManhattanWithWrongLoops) {
+  TERSE_NEEDS(path, "graphs/2d/manhattan.g2o");
+  if (kSlowBuild) GTEST_SKIP() << "too slow with sanitizers";
+  auto graph = std::get<PoseGraph<SE2>>(ReadGraph(path).graph);
+  const auto clean = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kCompose));
+  const auto loops = LoopFactors(graph);
+  const auto information = std::get<RelativePoseFactor<SE2>>(graph.FindFactor(loops[0])->factor).information;
+  Random rng(1);
+  std::vector<FactorId> wrong;
+  while (wrong.size() < loops.size() * 3 / 10) {
+    const auto pick = [&] { return graph.Poses()[rng() % graph.Poses().size()].id; };
+    const PoseId from = pick(), to = pick();
+    if (from == to) continue;
+    const SE2 close = testing::RandomMotion<SE2>(rng, 1, 0.3);
+    wrong.push_back(graph.AddFactor(RelativePoseFactor<SE2>{from, to, close, information}));
+  }
+  IncrementalSolver<SE2> solver(StepsWith(RobustKernel::kGnc));
+  Replay<SE2>(graph, {}, solver);
+  double sum = 0;
+  for (std::size_t k = 0; k < graph.Poses().size(); ++k) {
+    const SE2 estimate = solver.Estimate(graph.Poses()[k].id);
+    sum += (estimate.Translation() - clean.T_world_body[k].Translation()).squaredNorm();
+  }
+  // The map is 50 m wide; leaving out one true loop in a hundred moves it by this much.
+  EXPECT_LT(std::sqrt(sum / static_cast<double>(graph.Poses().size())), 0.5);
+}
+
+}  // namespace
+}  // namespace terse
