@@ -53,6 +53,9 @@ TEST_F(SweepCommand, AtScaleOneItIsCompact) {
   EXPECT_EQ(std::stoi(row[4]), stats["poses_kept"]);
   EXPECT_EQ(std::stoi(row[6]), stats["links_kept"]);
   EXPECT_EQ(std::stoi(row[8]), stats["registrations_tried"]);
+  Succeed("sweep in.g2o --threshold loop --from 0.5 --to 1 --steps 2 --thresholds few/thresholds.json --csv f.csv");
+  const auto same = CsvRows(Read("f.csv")).at(1);
+  for (const std::size_t column : {1, 2, 3, 4, 6, 8}) EXPECT_EQ(same[column], row[column]) << column;
   const auto errors = Json("evaluate few/trajectory.tum truth.tum --align se2 --json");
   EXPECT_NEAR(std::stod(row[10]), errors["ate"]["translation_m"].get<double>(), 1e-6);
 }
@@ -76,6 +79,8 @@ TEST_F(SweepCommand, SaysWhatIsWrong) {
   ExpectFailure("sweep nowhere.g2o --threshold loop", 1, "nowhere.g2o");
   ExpectFailure("sweep in.g2o --threshold loop --csv nowhere/a.csv", 1, "nowhere/a.csv");
   ExpectFailure("sweep in.g2o --threshold loop --ground-truth nowhere.tum", 1, "nowhere.tum");
+  ExpectFailure("sweep in.g2o --threshold loop --thresholds nowhere.json", 1, "nowhere.json");
+  ExpectFailure("sweep in.g2o --threshold loop --thresholds a.json --sample 0.5", 2, "--sample");
 }
 
 }  // namespace
