@@ -15,11 +15,17 @@
 
 #include "disjoint_sets.h"
 #include "incremental_plan.h"
+#include "loop_contest.h"
+#include "path_solve.h"
 #include "terse/core/residual.h"
 
 namespace terse {
 namespace {
 
+using internal::Contest;
+using internal::Gram;
+using internal::SolveBackward;
+using internal::SolveForward;
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 constexpr size_t At(FactorId id) { return static_cast<size_t>(id.value); }
@@ -29,183 +35,6 @@ constexpr size_t kMostContested = 10, kMostRetried = 4;
 constexpr int kMostRounds = 3;
 // A loop is judged again when its chi2 has changed by this factor.
 constexpr double kNews = 2;
-
-// Forward substitution L z = A' of a factor's Jacobian: z by front, in the order of the front's pivots.
-template <int B>
-using Columns = std::map<int, Eigen::Matrix<double, Eigen::Dynamic, B>>;
-
-template <int B>
-std::vector<int> PathOf(const BlockCholesky<B>& factor, int variable) {
-  std::vector<int> path;
-  for (int f = factor.FrontOf(variable); f >= 0; f = factor.FrontAt(f).parent) path.push_back(f);
-  return path;
-}
-
-// The fronts of both paths, children first.
-template <int B>
-std::vector<int> PathsOf(const BlockCholesky<B>& factor, int first, int second) {
-  std::vector<int> a = PathOf(factor, first), b = PathOf(factor, second), common;
-  while (!a.empty() && !b.empty() && a.back() == b.back()) {
-    common.push_back(a.back());
-    a.pop_back();
-    b.pop_back();
-  }
-  a.insert(a.end(), b.begin(), b.end());
-  a.insert(a.end(), common.rbegin(), common.rend());
-  return a;
-}
-
-template <int B>
-Columns<B> SolveForward(const BlockCholesky<B>& factor, const LinearFactor<B>& f) {
-  std::map<int, Matrix<B, B>> rhs;
-  rhs[f.first] = f.A_first.transpose();
-  rhs[f.second] = f.A_second.transpose();
-  Columns<B> out;
-  Eigen::Matrix<double, Eigen::Dynamic, B> below;
-  for (const int id : PathsOf(factor, f.first, f.second)) {
-    const auto& front = factor.FrontAt(id);
-    const int rows = front.Rows(), p = front.Columns();
-    const Eigen::Map<const Eigen::MatrixXd> L(front.panel.data(), rows, p);
-    auto& z = out[id];
-    z.setZero(p, B);
-    int row = 0;
-    for (const int v : front.pivots) {
-      const auto it = rhs.find(v);
-      if (it != rhs.end()) z.template middleRows<B>(row) = it->second;
-      row += B;
-    }
-    L.topRows(p).template triangularView<Eigen::Lower>().solveInPlace(z);
-    below.noalias() = L.middleRows(p, rows - 1 - p) * z;
-    row = 0;
-    for (const int v : front.separators) {
-      const auto it = rhs.try_emplace(v, Matrix<B, B>::Zero()).first;
-      it->second -= below.template middleRows<B>(row);
-      row += B;
-    }
-  }
-  return out;
-}
-
-template <int B>
-Matrix<B, B> Gram(const Columns<B>& a, const Columns<B>& b) {
-  Matrix<B, B> sum = Matrix<B, B>::Zero();
-  for (const auto& [front, z] : a) {
-    const auto it = b.find(front);
-    if (it != b.end()) sum.noalias() += z.transpose() * it->second;
-  }
-  return sum;
-}
-
-// L' x = z for all variables, z by front.
-template <int B>
-std::vector<double> SolveBackward(const BlockCholesky<B>& factor, const Columns<B>& z, const Vector<B>& q) {
-  std::vector<double> x(At(factor.Variables()) * B, 0.0);
-  std::vector<int> stack = factor.Roots();
-  Eigen::VectorXd xs, xp;
-  while (!stack.empty()) {
-    const int id = stack.back();
-    stack.pop_back();
-    const auto& front = factor.FrontAt(id);
-    const int rows = front.Rows(), p = front.Columns();
-    const Eigen::Map<const Eigen::MatrixXd> L(front.panel.data(), rows, p);
-    xs.resize(rows - 1 - p);
-    int row = 0;
-    for (const int v : front.separators) {
-      xs.template segment<B>(row) = Eigen::Map<const Vector<B>>(x.data() + At(v) * B);
-      row += B;
-    }
-    const auto it = z.find(id);
-    if (it == z.end() && xs.isZero(0)) continue;  // all below stays
-    xp = it != z.end() ? Eigen::VectorXd(it->second * q) : Eigen::VectorXd::Zero(p);
-    xp.noalias() -= L.middleRows(p, rows - 1 - p).transpose() * xs;
-    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(xp);
-    row = 0;
-    for (const int v : front.pivots) {
-      Eigen::Map<Vector<B>>(x.data() + At(v) * B) = xp.template segment<B>(row);
-      row += B;
-    }
-    stack.insert(stack.end(), front.children.begin(), front.children.end());
-  }
-  return x;
-}
-
-// Loops given everything but themselves: residuals n and their covariance P, B rows each; k = width^2.
-class Contest {
- public:
-  Contest(Eigen::VectorXd residual, Eigen::MatrixXd covariance, int B, double width)
-      : n_(std::move(residual)), P_(std::move(covariance)), B_(B), width_(width) {}
-
-  // What the loops add to the minimum of truncated least squares when these are in.
-  double Cost(const std::vector<char>& chosen) const {
-    std::vector<Eigen::Index> rows;
-    double cost = 0;
-    for (size_t i = 0; i < chosen.size(); ++i) {
-      if (!chosen[i]) cost += width_ * width_;
-      for (int b = 0; chosen[i] && b < B_; ++b) rows.push_back(Row(i) + b);
-    }
-    const auto m = static_cast<Eigen::Index>(rows.size());
-    if (m == 0) return cost;
-    Eigen::MatrixXd S = Eigen::MatrixXd::Identity(m, m);
-    Eigen::VectorXd n(m);
-    for (Eigen::Index j = 0; j < m; ++j) {
-      n[j] = n_[rows[static_cast<size_t>(j)]];
-      for (Eigen::Index i = j; i < m; ++i) S(i, j) += P_(rows[static_cast<size_t>(i)], rows[static_cast<size_t>(j)]);
-    }
-    const Eigen::LLT<Eigen::MatrixXd> llt(S);
-    return llt.info() == Eigen::Success ? cost + n.dot(llt.solve(n)) : std::numeric_limits<double>::infinity();
-  }
-
-  // Graduated non-convexity from the residuals that the loops have when none is in.
-  std::vector<char> Graduate(double step) const {
-    const size_t count = static_cast<size_t>(n_.size() / B_);
-    Eigen::VectorXd r = n_, weights(n_.size());
-    double largest = 0;
-    for (size_t i = 0; i < count; ++i) largest = std::max(largest, r.segment(Row(i), B_).squaredNorm());
-    bool settled = false;
-    double mu = GncStart(largest, width_);
-    for (; !settled && std::isfinite(mu); mu *= step) {
-      settled = true;
-      for (size_t i = 0; i < count; ++i) {
-        const double w = GncWeight(r.segment(Row(i), B_).squaredNorm(), width_, mu);
-        weights.segment(Row(i), B_).setConstant(w);
-        settled = settled && (w == 0 || w == 1);
-      }
-      Eigen::MatrixXd M = P_ * weights.asDiagonal();
-      M.diagonal().array() += 1;
-      r = M.partialPivLu().solve(n_);
-    }
-    std::vector<char> chosen(count);
-    for (size_t i = 0; i < count; ++i) {
-      chosen[i] = std::isfinite(mu) ? weights[Row(i)] > 0.5 : r.segment(Row(i), B_).squaredNorm() <= width_ * width_;
-    }
-    return chosen;
-  }
-
-  // Single flips while they lower the cost, the best first.
-  double Descend(std::vector<char>& chosen) const {
-    double cost = Cost(chosen);
-    for (;;) {
-      double best = cost - 1e-9 * width_ * width_;
-      size_t flip = chosen.size();
-      for (size_t i = 0; i < chosen.size(); ++i) {
-        chosen[i] ^= 1;
-        const double other = Cost(chosen);
-        chosen[i] ^= 1;
-        if (other < best) best = other, flip = i;
-      }
-      if (flip == chosen.size()) return cost;
-      chosen[flip] ^= 1;
-      cost = best;
-    }
-  }
-
- private:
-  Eigen::Index Row(size_t i) const { return static_cast<Eigen::Index>(i) * B_; }
-  Eigen::VectorXd n_;
-  Eigen::MatrixXd P_;
-  int B_;
-  double width_;
-};
 
 }  // namespace
 
@@ -217,7 +46,7 @@ struct IncrementalSolver<Pose>::Loop {
   LinearFactor<B> linear;  // at the linearisation points
   Vector<B> residual;      // at the estimate
   double weight = 1;       // that it is to have
-  Columns<B> z;
+  internal::Columns<B> z;
 };
 
 // A loop joins poses that are joined already, by the graph or the factors before it.
