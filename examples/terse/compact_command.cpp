@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "commands.h"
+#include "compact_run.h"
 #include "covariance_output.h"
 #include "progress.h"
 #include "report.h"
@@ -163,31 +164,17 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
   FlushOutput();
 }
 
-// Every pose and link of the file offered to a run with these options.
-template <class Pose>
-std::vector<Decision> Run(GraphReplay<Pose>& replay, CompactPoseSlam<Pose>& slam, const char* name, bool quiet,
-                          Stats& stats) {
-  std::vector<Decision> decisions;
-  Progress progress(name, static_cast<long>(replay.Inputs().size()), quiet);
-  for (const auto& input : replay.Inputs()) {
-    const double before = SecondsNow();
-    decisions.push_back(slam.AddPose(input, replay.AsRegistration()));
-    stats.step_seconds.push_back(SecondsNow() - before);
-    progress.Update(static_cast<long>(decisions.size()));
-  }
-  return decisions;
-}
-
 // The random baseline keeps as many poses and links as a run by information does.
 template <class Pose>
 void DrawAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, const CompactCommandOptions& options,
                   GraphReplay<Pose>& replay) {
   GraphReplay<Pose> informed(graph);
   settings.strategy = Strategy::kFpfl;
-  CompactPoseSlam<Pose> slam(settings);
-  Stats unused;
-  Run(informed, slam, "count", options.quiet, unused);
-  replay.DrawAtRandom(static_cast<int>(slam.Solver().Graph().Poses().size()), slam.LinksKept(), options.seed);
+  CompactRunOptions<Pose> run_options;
+  run_options.label = "count";
+  run_options.quiet = options.quiet;
+  const CompactRun<Pose> run = RunCompact(settings, informed, run_options);
+  replay.DrawAtRandom(run.PosesKept(), run.slam.LinksKept(), options.seed);
 }
 
 template <class Pose>
@@ -196,19 +183,14 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, stats);
   WriteThresholds(settings, options.directory + "/thresholds.json");
   if (options.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
-  CompactPoseSlam<Pose> slam(settings);
-  const std::vector<Decision> decisions = Run(replay, slam, "poses", options.quiet, stats);
-  const BatchResult<Pose> result = slam.Finish();
-  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(result.message);
-  }
-  WriteResults(slam, result, decisions, options, stats);
+  CompactRunOptions<Pose> run_options;
+  run_options.quiet = options.quiet;
+  CompactRun<Pose> run = RunCompact(settings, replay, run_options);
+  const CompactPoseSlam<Pose>& slam = run.slam;
+  const BatchResult<Pose>& result = run.result;
+  stats.step_seconds = std::move(run.step_seconds);
+  WriteResults(slam, result, run.decisions, options, stats);
   const EdgeCounts kept = CountEdges(slam.Solver().Graph());
-  long tried = 0, refused = 0;
-  for (const Decision& d : decisions) {
-    tried += d.registrations_tried;
-    refused += d.links_refused;
-  }
   stats.poses = graph.Poses().size();
   stats.counts = CountEdges(graph);
   stats.chi2 = result.chi2;
@@ -222,8 +204,8 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   stats.more["poses_kept"] = slam.Solver().Graph().Poses().size();
   stats.more["links_kept"] = slam.LinksKept();
   stats.more["links_offered"] = replay.LinksOffered();
-  stats.more["registrations_tried"] = tried;
-  stats.more["links_refused"] = refused;
+  stats.more["registrations_tried"] = run.registrations_tried;
+  stats.more["links_refused"] = run.links_refused;
   nlohmann::ordered_json thresholds = ThresholdsToJson(settings);
   thresholds.erase("link_covariance");
   stats.more["thresholds"] = std::move(thresholds);

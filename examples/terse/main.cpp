@@ -66,6 +66,7 @@ int Run(int argc, char** argv) {
   terse::AddEvaluateCommand(app);
   terse::AddGenerateCommand(app);
   terse::AddTableCommand(app);
+  terse::AddSweepCommand(app);
   try {
     app.parse(argc, argv);
     return 0;
