@@ -1,9 +1,9 @@
 #include <cmath>
-#include <filesystem>
 #include <iostream>
 #include <limits>
 
 #include "commands.h"
+#include "compact_output.h"
 #include "compact_run.h"
 #include "covariance_output.h"
 #include "progress.h"
@@ -11,7 +11,7 @@
 #include "terse/compact/thresholds.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
-#include "terse/covariance/marginals.h"
+#include "terse/covariance/incremental_marginals.h"
 #include "thresholds_file.h"
 
 namespace terse {
@@ -95,53 +95,17 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   return options;
 }
 
-void WriteDecisions(const std::vector<Decision>& decisions, const std::string& path) {
-  AtomicFile file(path);
-  std::ostream& out = file.Stream();
-  out << "pose,kept,verdict,pose_gain_nats,registrations_tried,links_accepted,"
-         "candidates,probabilities,gains_nats,measured_gains_nats,accepted,innovations,links_refused,factors\n";
-  for (const Decision& d : decisions) {
-    out << d.id.value << ',' << (d.Kept() ? 1 : 0) << ',' << Name(d.verdict) << ','
-        << (d.pose_gain ? Shortest(*d.pose_gain) : "") << ',' << d.registrations_tried << ',' << d.links_accepted;
-    const auto list = [&](auto&& text) {
-      out << ',';
-      for (std::size_t k = 0; k < d.candidates.size(); ++k) out << (k > 0 ? " " : "") << text(d.candidates[k]);
-    };
-    list([](const Candidate& c) { return std::to_string(c.id.value); });
-    list([](const Candidate& c) { return Shortest(c.probability); });
-    list([](const Candidate& c) { return Shortest(c.gain); });
-    list([](const Candidate& c) { return c.measured_gain ? Shortest(*c.measured_gain) : std::string("-"); });
-    list([](const Candidate& c) { return std::string(c.accepted ? "1" : "0"); });
-    list([](const Candidate& c) { return c.innovation ? Shortest(*c.innovation) : std::string("-"); });
-    out << ',' << d.links_refused;
-    list([](const Candidate& c) { return c.factor ? std::to_string(c.factor->value) : std::string("-"); });
-    out << '\n';
-  }
-  file.Commit();
-}
-
 template <class Pose>
 void WriteResults(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result,
                   const std::vector<Decision>& decisions, const CompactCommandOptions& options, Stats& stats) {
-  const std::string folder = options.directory + "/";
-  PoseGraph<Pose> kept = slam.Solver().Graph();
-  std::vector<PoseId> kept_ids;
-  for (std::size_t k = 0; k < result.T_world_body.size(); ++k) {
-    kept_ids.push_back(kept.Poses()[k].id);
-    kept.SetPose(kept_ids.back(), result.T_world_body[k]);
-  }
-  WriteG2o(kept, folder + "compact.g2o", options.read.rotation_information);
+  WriteCompactMap(slam, result, options.recovery, options.read.rotation_information, options.directory);
+  WriteDecisions(decisions, options.directory + "/decisions.csv");
   std::vector<PoseId> ids;
-  std::vector<Pose> values;
-  for (const auto& pose : slam.Trajectory(options.recovery)) {
-    ids.push_back(pose.id);
-    values.push_back(pose.T_world_body);
-  }
-  WriteTum(MakeTrajectory(ids, values), folder + "trajectory.tum");
-  WriteDecisions(decisions, folder + "decisions.csv");
+  for (const auto& node : slam.Solver().Graph().Poses()) ids.push_back(node.id);
   const double before = SecondsNow();
-  const Marginals<Pose> marginals(kept, result.T_world_body, result.factor);
-  WriteCovariances<Pose>(kept_ids, marginals.AllMarginals(), folder + "covariances.csv");
+  // Finish left the solver at the optimum, with the weights of its loops.
+  const IncrementalMarginals<Pose> marginals(slam.Solver());
+  WriteCovariances<Pose>(ids, marginals.AllMarginals(), options.directory + "/covariances.csv");
   stats.seconds_covariance = SecondsNow() - before;
 }
 
@@ -222,14 +186,7 @@ void Compact(const CompactCommandOptions& options) {
   if (!options.quiet) ReportRepairs(file, options.path);
   std::visit([&](const auto& graph) { CheckRange(graph, options); }, file.graph);
   // Before the long run, not after it.
-  std::error_code error;
-  std::filesystem::create_directories(options.directory, error);
-  if (!std::filesystem::is_directory(options.directory)) {
-    const std::string reason =
-        std::filesystem::exists(options.directory) ? "a file of this name is in the way" : error.message();
-    throw FileError(options.directory, 0, "cannot make this folder: " + reason);
-  }
-  RequireWritable(options.directory + "/stats.json");
+  RequireFolder(options.directory);
   AddPathToErrors(options.path, [&] {
     std::visit([&](const auto& graph) { CompactGraph(graph, options, std::move(stats), start); }, file.graph);
   });

@@ -23,7 +23,7 @@ void WriteDecisions(const std::vector<Decision>& decisions, const std::string& p
   AtomicFile file(path);
   std::ostream& out = file.Stream();
   out << "pose,kept,verdict,pose_gain_nats,registrations_tried,links_accepted,"
-         "candidates,probabilities,gains_nats,measured_gains_nats,accepted\n";
+         "candidates,probabilities,gains_nats,measured_gains_nats,accepted,innovations,links_refused,factors\n";
   for (const Decision& d : decisions) {
     out << d.id.value << ',' << (d.Kept() ? 1 : 0) << ',' << Name(d.verdict) << ','
         << (d.pose_gain ? Shortest(*d.pose_gain) : "") << ',' << d.registrations_tried << ',' << d.links_accepted;
@@ -36,6 +36,9 @@ void WriteDecisions(const std::vector<Decision>& decisions, const std::string& p
     list([](const Candidate& c) { return Shortest(c.gain); });
     list([](const Candidate& c) { return c.measured_gain ? Shortest(*c.measured_gain) : std::string("-"); });
     list([](const Candidate& c) { return std::string(c.accepted ? "1" : "0"); });
+    list([](const Candidate& c) { return c.innovation ? Shortest(*c.innovation) : std::string("-"); });
+    out << ',' << d.links_refused;
+    list([](const Candidate& c) { return c.factor ? std::to_string(c.factor->value) : std::string("-"); });
     out << '\n';
   }
   file.Commit();
