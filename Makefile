@@ -2,12 +2,13 @@
 
 PREFIX ?= /usr/local
 JOBS ?= $(shell nproc)
+GRAPHS ?= ../shared/data/graphs
 
 packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev
 bench_packages = libbenchmark-dev libceres-dev
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test bench bench-docs micro-bench consistency-docs install asan format format-check deps clean help
+.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs install asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -35,6 +36,12 @@ micro-bench: build-bench/build.ninja ## build and run the benchmarks of single o
 consistency-docs: build-bench/build.ninja ## simulate runs and put plot and table into docs/consistency.md
 	@cmake --build build-bench -j $(JOBS) --target consistency
 	@build-bench/bin/consistency --svg docs/images/consistency.svg --update docs/consistency.md $(BENCH_ARGS)
+
+compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM into docs/compact.md; GRAPHS=folder of the public graphs
+	@cmake --build build-bench -j $(JOBS) --target bin/terse
+	@build-bench/bin/terse table compact $(GRAPHS) --update docs/compact.md --output build-bench/compact $(BENCH_ARGS)
+	@for name in ellipse_norms ellipse-n_laps ellipse-n_growth; do \
+	  if [ -f build-bench/compact/$$name.svg ]; then cp build-bench/compact/$$name.svg docs/images/; fi; done
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'

@@ -9,6 +9,7 @@
 #include "compact_pose_slam_parts.h"
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
+#include "terse/core/error.h"
 
 namespace terse {
 namespace {
@@ -32,6 +33,7 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   }
   if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
     throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
+  if (o.consensus < 2) throw std::invalid_argument("compact options: a consensus takes at least two links");
   if (!(o.distance.view_axis.norm() > 0) || !o.distance.view_axis.allFinite()) {
     throw std::invalid_argument("compact options: the view axis is zero or not finite");
   }
@@ -148,6 +150,9 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
   current.T_base_current = previous.kept ? odometry : Compose(previous.T_base_pose, odometry, options_.composition);
   current.chain = current.T_base_current;
   current.T_world_body = solver_->Estimate(current.base) * current.T_base_current.T_a_b;
+  if (!IsFinite(current.T_world_body) || !current.chain.covariance.allFinite()) {
+    throw NumericalError("the odometry of pose " + std::to_string(input.id.value) + " leads beyond all numbers");
+  }
   return current;
 }
 
@@ -195,8 +200,16 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>&
     ++decision.registrations_tried;
     const auto link = Register(registration, best->record.id, current.input->id);
     if (!link) continue;
-    const bool good = TryLink(*best, *link);
-    if (best->record.outlier) ++decision.links_refused;
+    bool good = TryLink(*best, *link);
+    if (best->record.outlier) {
+      const UncertainPose<Pose> measured = SeenFrom(best->record.id, *link);
+      best->record.supported = IsSupported(current, best->record.id, measured);
+      if (!best->record.supported) {
+        RememberRefused(current, best->record.id, measured);
+        ++decision.links_refused;
+      }
+      good = best->record.supported && *best->record.measured_gain > options_.min_loop_gain;
+    }
     if (!good) continue;
     best->record.accepted = true;
     ++decision.links_accepted;
@@ -337,23 +350,73 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
     Judge(current, decision);
     if (decision.Kept()) Keep(current, {});
   } catch (...) {
-    if (current.in_solver) Remember(current);
+    if (current.in_solver) {
+      Remember(current);
+    } else {
+      const auto is_new = [&](const Refused& link) { return link.seen == input.id; };
+      refused_.erase(std::remove_if(refused_.begin(), refused_.end(), is_new), refused_.end());
+    }
     throw;
   }
   Remember(current);
   return decision;
 }
 
+// An end that is nullptr stays.
 template <class Pose>
-RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryToKept(const RelativePoseFactor<Pose>& link) const {
+RelativePoseFactor<Pose> CompactPoseSlam<Pose>::Carry(const RelativePoseFactor<Pose>& link, const Seen* from,
+                                                      const Seen* to) const {
   const std::string defect = FindDefect<Pose>(link);
   if (!defect.empty()) throw std::invalid_argument(defect);
-  const Seen &from = Find(link.from), &to = Find(link.to);
-  if (from.kept && to.kept) return link;
+  if (from != nullptr && from->kept) from = nullptr;
+  if (to != nullptr && to->kept) to = nullptr;
+  if (from == nullptr && to == nullptr) return link;
   UncertainPose<Pose> measured = SeenFrom(link.from, link);
-  if (!from.kept) measured = Compose(from.T_base_pose, measured, options_.composition);
-  if (!to.kept) measured = Compose(measured, Invert(to.T_base_pose), options_.composition);
-  return Measurement(from.base, to.base, measured, options_.composition);
+  if (from != nullptr) measured = Compose(from->T_base_pose, measured, options_.composition);
+  if (to != nullptr) measured = Compose(measured, Invert(to->T_base_pose), options_.composition);
+  return Measurement(from != nullptr ? from->base : link.from, to != nullptr ? to->base : link.to, measured,
+                     options_.composition);
+}
+
+template <class Pose>
+RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryToKept(const RelativePoseFactor<Pose>& link) const {
+  return Carry(link, &Find(link.from), &Find(link.to));
+}
+
+template <class Pose>
+RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryEndToKept(PoseId end, const RelativePoseFactor<Pose>& link) const {
+  if (end != link.from && end != link.to) {
+    throw std::invalid_argument("the link does not touch pose " + std::to_string(end.value));
+  }
+  const Seen& seen = Find(end);
+  return Carry(link, end == link.from ? &seen : nullptr, end == link.to ? &seen : nullptr);
+}
+
+template <class Pose>
+FactorId CompactPoseSlam<Pose>::AddPrior(const Factor<Pose>& prior) {
+  const FactorPoses ends = PosesOf(prior);
+  if (ends.count != 1) throw std::invalid_argument("a link is no prior");
+  const std::string defect = FindDefect(prior);
+  if (!defect.empty()) throw std::invalid_argument(defect);
+  const Seen& seen = Find(ends.first);
+  Factor<Pose> at_kept = prior;
+  if (!seen.kept) {
+    const auto* measured = std::get_if<PosePriorFactor<Pose>>(&prior);
+    if (measured == nullptr) {
+      throw std::invalid_argument("a position prior on pose " + std::to_string(seen.id.value) +
+                                  ", which was dropped before it came");
+    }
+    // A link from the origin of the world.
+    const Seen* origin = nullptr;
+    const RelativePoseFactor<Pose> link{{}, {1}, measured->T_world_body, measured->information};
+    const RelativePoseFactor<Pose> carried = Carry(link, origin, &seen);
+    at_kept = PosePriorFactor<Pose>{seen.base, carried.T_from_to, carried.information};
+  }
+  GraphUpdate<Pose> update;
+  update.factors.push_back(at_kept);
+  const FactorId id = solver_->Update(update).factor_ids.front();
+  UpdateCovariances();
+  return id;
 }
 
 template <class Pose>
@@ -363,11 +426,8 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
     throw std::invalid_argument("poses " + std::to_string(link.from.value) + " and " + std::to_string(link.to.value) +
                                 " hang on the same kept pose");
   }
-  const int from = solver_->Graph().IndexOf(carried.from), to = solver_->Graph().IndexOf(carried.to);
   Evaluated evaluated;
-  evaluated.pose = from;
-  evaluated.T_pose_current.T_a_b = solver_->EstimateAt(from).Inverse() * solver_->EstimateAt(to);
-  evaluated.T_pose_current.covariance = marginals_->Relative(carried.from, carried.to);
+  evaluated.T_pose_current = Between(carried.from, carried.to);
   evaluated.record.id = carried.from;
   LinkDecision decision;
   decision.from = carried.from;

@@ -20,15 +20,15 @@ void Serialize(Archive& archive, DistanceOptions& options) {
 template <class Archive, class Pose>
 void Serialize(Archive& archive, CompactOptions<Pose>& options) {
   auto& [strategy, range, probability, min_loop_gain, min_pose_gain, link_covariance, distance, composition,
-         innovation_quantile, solver] = options;
+         innovation_quantile, consensus, solver] = options;
   archive(strategy, range, probability, min_loop_gain, min_pose_gain, link_covariance, distance, composition,
-          innovation_quantile, solver);
+          innovation_quantile, consensus, solver);
 }
 
 template <class Pose>
 template <class Archive>
 void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
-  auto& [options, most_innovation, solver, marginals, history, index, links, searches, T_pose_base, reach,
+  auto& [options, most_innovation, solver, marginals, history, index, links, refused, searches, T_pose_base, reach,
          searched_version, searched_base] = *this;
   archive(options);
   if constexpr (Archive::kReads) TakeOptions(options);
@@ -36,6 +36,10 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
   archive.Each(history, [&](Seen& seen) {
     auto& [id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next] = seen;
     archive(id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next);
+  });
+  archive.Each(refused, [&](Refused& link) {
+    auto& [candidate, seen, T_candidate_seen] = link;
+    archive(candidate, seen, T_candidate_seen);
   });
   if constexpr (Archive::kReads) {
     index.clear();
@@ -46,6 +50,9 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
       if (!is_known || seen.previous >= at || (seen.previous < 0) != (at == 0))
         archive.Fail("a pose without its chain");
       if (!index.emplace(seen.id.value, at).second) archive.Fail("a pose comes twice");
+    }
+    for (const Refused& link : refused) {
+      if (!solver->Graph().HasPose(link.candidate) || !HasSeen(link.seen)) archive.Fail("a link of unknown poses");
     }
     for (const FactorId link : links) {
       if (solver->Graph().FindFactor(link) == nullptr) archive.Fail("a link that is not in the map");

@@ -15,7 +15,7 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 
 // Per degree of freedom; thresholds.h says why.
-constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.8;
+constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.9;
 constexpr double kPoseToLoop = 0.9;
 
 double Raise(double gain, double power) { return std::exp(power * std::log(gain + 1)) - 1; }
@@ -157,6 +157,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
     if (options.progress) options.progress(k + 1, sample);
   }
   out.range = out.range.cwiseMax(replay.LinkRange(options.distance));
+  out.range.template head<Pose::kDim>().setConstant(out.range.template head<Pose::kDim>().maxCoeff());
   out.loop_gain_90 = Percentile90(loop_gains);
   out.pose_gain_90 = Percentile90(pose_gains);
   out.min_loop_gain =

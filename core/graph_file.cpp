@@ -26,12 +26,6 @@ constexpr TagLayout kLayouts[] = {
     {"PARAMS_SE3OFFSET", TagFamily::kG2o, 0, TagKind::kOffset, 8},            // id, pose
 };
 
-const TagLayout* FindLayout(std::string_view tag) {
-  const auto* end = std::end(kLayouts);
-  const auto* it = std::find_if(std::begin(kLayouts), end, [&](const TagLayout& l) { return l.tag == tag; });
-  return it == end ? nullptr : it;
-}
-
 bool IsTag(std::string_view text) {
   const char c = text.front();
   return (c >= 'A' && c <= 'Z') || (c >= 'a' && c <= 'z') || c == '_';
@@ -127,6 +121,12 @@ GraphFile Read(const std::string& path, const std::vector<GraphLine>& lines, con
 }
 
 }  // namespace
+
+const TagLayout* FindLayout(std::string_view tag) {
+  const auto* end = std::end(kLayouts);
+  const auto* it = std::find_if(std::begin(kLayouts), end, [&](const TagLayout& l) { return l.tag == tag; });
+  return it == end ? nullptr : it;
+}
 
 const char* Name(GraphFormat format) {
   switch (format) {

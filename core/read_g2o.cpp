@@ -42,67 +42,118 @@ typename Pose::Jacobian InformationFields(const Fields& fields, int first, Rotat
   return information;
 }
 
-// The sensor offsets that are not the identity: a prior that refers to one does not measure the body.
-std::set<std::int64_t> SensorOffsets(const std::string& path, const std::vector<GraphLine>& lines) {
-  std::set<std::int64_t> out;
-  Fields fields(path);
-  for (const GraphLine& line : lines) {
-    if (line.layout->kind != TagKind::kOffset) continue;
-    fields.Split(line.line);
-    ExpectFields(fields, *line.layout);
-    const SE3 T_body_sensor = SpatialPoseFields(fields, 2);
-    if (T_body_sensor.Log().norm() > 0) out.insert(fields.Integer(1, "id"));
+template <class Pose>
+Factor<Pose> FactorFields(const Fields& fields, TagKind kind, const ReadOptions& options,
+                          const std::set<std::int64_t>& offsets) {
+  constexpr int kPose = PoseFieldCount(Pose::kDim), kDim = Pose::kDim;
+  const auto information = [&](int first) {
+    return InformationFields<Pose>(fields, first, options.rotation_information);
+  };
+  if (kind == TagKind::kEdge) {
+    const PoseId from = IdField(fields, 1, "from"), to = IdField(fields, 2, "to");
+    return RelativePoseFactor<Pose>{from, to, PoseFields<Pose>(fields, 3), information(3 + kPose)};
   }
-  return out;
+  if (kind == TagKind::kPositionPrior) {
+    return PositionPriorFactor<Pose>{IdField(fields, 1), PositionFields<kDim>(fields, 2),
+                                     SymmetricFields<kDim>(fields, 2 + kDim)};
+  }
+  const int first = kDim == 3 ? 3 : 2;
+  if (kDim == 3 && offsets.count(fields.Integer(2, "parameter id")) != 0) {
+    throw fields.Error("a prior with a sensor offset (PARAMS_SE3OFFSET " + std::string(fields.Text(2)) +
+                       " is not the identity): not supported");
+  }
+  return PosePriorFactor<Pose>{IdField(fields, 1), PoseFields<Pose>(fields, first), information(first + kPose)};
 }
 
 }  // namespace
 
 template <class Pose>
+MeasurementLine<Pose> ParseG2oLine(const Fields& fields, const TagLayout& layout, const ReadOptions& options,
+                                   const std::set<std::int64_t>& offsets) {
+  ExpectFields(fields, layout);
+  switch (layout.kind) {
+    case TagKind::kVertex: return VertexLine<Pose>{IdField(fields, 1), PoseFields<Pose>(fields, 2)};
+    case TagKind::kFix: {
+      FixLine fix;
+      for (int i = 1; i < fields.Count(); ++i) fix.poses.push_back(IdField(fields, i));
+      return fix;
+    }
+    case TagKind::kOffset: {
+      const SE3 T_body_sensor = SpatialPoseFields(fields, 2);
+      return SensorOffsetLine{fields.Integer(1, "id"), !(T_body_sensor.Log().norm() > 0)};
+    }
+    default: return FactorFields<Pose>(fields, layout.kind, options, offsets);
+  }
+}
+
+template <class Pose>
 GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options) {
   GraphBuilder<Pose> builder(options);
   Fields fields(path);
+  std::set<std::int64_t> offsets;
+  const auto parse = [&](const GraphLine& line) {
+    fields.Split(line.line);
+    return ParseG2oLine<Pose>(fields, *line.layout, options, offsets);
+  };
   for (const GraphLine& line : lines) {
     if (line.layout->kind != TagKind::kVertex) continue;
-    fields.Split(line.line);
-    ExpectFields(fields, *line.layout);
-    builder.AddVertex(fields, PoseFields<Pose>(fields, 2));
+    builder.AddVertex(fields, std::get<VertexLine<Pose>>(parse(line)).T_world_body);
   }
   builder.AddPosesOfEdges(path, lines);
-
-  const auto information = [&](int first) {
-    return InformationFields<Pose>(fields, first, options.rotation_information);
-  };
-  const std::set<std::int64_t> offsets = Pose::kDim == 3 ? SensorOffsets(path, lines) : std::set<std::int64_t>();
-  constexpr int kPose = PoseFieldCount(Pose::kDim), kDim = Pose::kDim;
+  for (const GraphLine& line : lines) {
+    if (line.layout->kind != TagKind::kOffset || Pose::kDim == 2) continue;
+    const auto offset = std::get<SensorOffsetLine>(parse(line));
+    if (!offset.is_identity) offsets.insert(offset.id);
+  }
   for (const GraphLine& line : lines) {
     const TagKind kind = line.layout->kind;
     if (kind == TagKind::kVertex || kind == TagKind::kOffset) continue;
-    fields.Split(line.line);
-    ExpectFields(fields, *line.layout);
-    if (kind == TagKind::kEdge) {
-      const PoseId from = IdField(fields, 1, "from"), to = IdField(fields, 2, "to");
-      builder.AddFactor(fields,
-                        RelativePoseFactor<Pose>{from, to, PoseFields<Pose>(fields, 3), information(3 + kPose)});
-    } else if (kind == TagKind::kPosePrior) {
-      const int first = kDim == 3 ? 3 : 2;
-      if (kDim == 3 && offsets.count(fields.Integer(2, "parameter id")) != 0) {
-        throw fields.Error("a prior with a sensor offset (PARAMS_SE3OFFSET " + std::string(fields.Text(2)) +
-                           " is not the identity): not supported");
-      }
-      builder.AddFactor(fields, PosePriorFactor<Pose>{IdField(fields, 1), PoseFields<Pose>(fields, first),
-                                                      information(first + kPose)});
-    } else if (kind == TagKind::kPositionPrior) {
-      builder.AddFactor(fields, PositionPriorFactor<Pose>{IdField(fields, 1), PositionFields<kDim>(fields, 2),
-                                                          SymmetricFields<kDim>(fields, 2 + kDim)});
-    } else {
+    const MeasurementLine<Pose> parsed = parse(line);
+    if (kind == TagKind::kFix) {
       builder.Fix(fields);
+    } else {
+      builder.AddFactor(fields, std::get<Factor<Pose>>(parsed));
     }
   }
   return std::move(builder).Finish(path, GraphFormat::kG2o);
 }
 
-template GraphFile ReadG2o<SE2>(const std::string&, const std::vector<GraphLine>&, const ReadOptions&);
-template GraphFile ReadG2o<SE3>(const std::string&, const std::vector<GraphLine>&, const ReadOptions&);
+template <class Pose>
+MeasurementLine<Pose> MeasurementLineReader<Pose>::Read(std::string_view text, long number) {
+  if (text.find('\0') != std::string_view::npos) throw FileError(source_, number, "the line holds a zero byte");
+  Fields fields(source_);
+  fields.Split({number, text});
+  const std::string_view tag = fields.Count() > 0 ? fields.Text(0) : std::string_view();
+  const TagLayout* layout = FindLayout(tag);
+  if (layout == nullptr || layout->family != TagFamily::kG2o) {
+    throw fields.Error("expected a tag of the g2o format, the line starts with " + Quoted(tag));
+  }
+  if (layout->dimension != 0 && layout->dimension != Pose::kDim) {
+    throw fields.Error(std::string(tag) + " in a run in " + std::to_string(Pose::kDim) + "D");
+  }
+  MeasurementLine<Pose> line = ParseG2oLine<Pose>(fields, *layout, options_, offsets_);
+  if (auto* factor = std::get_if<Factor<Pose>>(&line)) RepairInformation(fields, options_, *factor);
+  if (const auto* offset = std::get_if<SensorOffsetLine>(&line)) {
+    if (!offset->is_identity) offsets_.insert(offset->id);
+  }
+  return line;
+}
+
+int DimensionOfLine(std::string_view text) {
+  const std::string source;
+  Fields fields(source);
+  fields.Split({0, text});
+  const TagLayout* layout = fields.Count() > 0 ? FindLayout(fields.Text(0)) : nullptr;
+  return layout != nullptr && layout->family == TagFamily::kG2o ? layout->dimension : 0;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                            \
+  template MeasurementLine<Pose> ParseG2oLine<Pose>(const Fields&, const TagLayout&, const ReadOptions&,   \
+                                                    const std::set<std::int64_t>&);                        \
+  template GraphFile ReadG2o<Pose>(const std::string&, const std::vector<GraphLine>&, const ReadOptions&); \
+  template class MeasurementLineReader<Pose>;
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
 
 }  // namespace terse

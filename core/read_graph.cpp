@@ -102,6 +102,17 @@ SE3 EulerPoseFields<SE3>(const Fields& fields, int first) {
 }
 
 template <class Pose>
+bool RepairInformation(const Fields& fields, const ReadOptions& options, Factor<Pose>& factor) {
+  const std::string defect = FindDefect(factor);
+  if (defect.empty()) return false;
+  std::visit([](auto& f) { ClampEigenvalues(&f.information); }, factor);
+  const std::string beyond_repair = FindDefect(factor);
+  if (!beyond_repair.empty()) throw fields.Error(beyond_repair);
+  if (!options.repair_information) throw fields.Error(defect + "; --repair-information clamps it");
+  return true;
+}
+
+template <class Pose>
 void GraphBuilder<Pose>::AddVertex(const Fields& fields, const Pose& T_world_body) {
   const PoseId id = IdField(fields, 1);
   if (graph_.HasPose(id)) throw fields.Error("a second vertex line of " + Name(id));
@@ -128,14 +139,7 @@ void GraphBuilder<Pose>::AddFactor(const Fields& fields, Factor<Pose> factor) {
   if (!graph_.HasPose(ends.first)) {
     throw fields.Error("a prior on " + Name(ends.first) + ", which no vertex and no edge names");
   }
-  const std::string defect = FindDefect(factor);
-  if (!defect.empty()) {
-    std::visit([](auto& f) { ClampEigenvalues(&f.information); }, factor);
-    const std::string beyond_repair = FindDefect(factor);
-    if (!beyond_repair.empty()) throw fields.Error(beyond_repair);
-    if (!options_.repair_information) throw fields.Error(defect + "; --repair-information clamps it");
-    ++repaired_informations_;
-  }
+  if (RepairInformation(fields, options_, factor)) ++repaired_informations_;
   graph_.AddFactor(factor);
 }
 
@@ -165,6 +169,8 @@ template Matrix<3, 3> UpperTriangleFields<3>(const Fields&, int);
 template Matrix<6, 6> UpperTriangleFields<6>(const Fields&, int);
 template Matrix<3, 3> SymmetricFields<3>(const Fields&, int);
 template Matrix<6, 6> SymmetricFields<6>(const Fields&, int);
+template bool RepairInformation<SE2>(const Fields&, const ReadOptions&, Factor<SE2>&);
+template bool RepairInformation<SE3>(const Fields&, const ReadOptions&, Factor<SE3>&);
 template class GraphBuilder<SE2>;
 template class GraphBuilder<SE3>;
 

@@ -1,10 +1,12 @@
 #pragma once
 // What the readers of graph files share: tags, fields of a line as poses and matrices, the graph under construction.
 
+#include <set>
 #include <string>
 #include <vector>
 
 #include "terse/core/graph_file.h"
+#include "terse/core/measurement_line.h"
 #include "text_lines.h"
 
 namespace terse {
@@ -25,6 +27,8 @@ struct GraphLine {
   const TagLayout* layout;
 };
 
+// nullptr if the tag is not known.
+const TagLayout* FindLayout(std::string_view tag);
 // Throws unless the line has as many fields as the layout says.
 void ExpectFields(const Fields& fields, const TagLayout& layout);
 
@@ -45,6 +49,11 @@ Matrix<N, N> SymmetricFields(const Fields& fields, int first);
 // x y theta, or x y z roll pitch yaw with R = Rz(yaw) Ry(pitch) Rx(roll): TORO and iSAM.
 template <class Pose>
 Pose EulerPoseFields(const Fields& fields, int first);
+
+// Clamps the information's eigenvalues if it is not positive definite and the options allow it: true then. Throws if
+// the factor is defective otherwise.
+template <class Pose>
+bool RepairInformation(const Fields& fields, const ReadOptions& options, Factor<Pose>& factor);
 
 template <class Pose>
 class GraphBuilder {
@@ -67,6 +76,12 @@ class GraphBuilder {
   PoseGraph<Pose> graph_;
   long repaired_informations_ = 0;
 };
+
+// What a line of the g2o format says by itself, with the information as it stands there. `offsets`: the sensor offsets
+// that are not the identity.
+template <class Pose>
+MeasurementLine<Pose> ParseG2oLine(const Fields& fields, const TagLayout& layout, const ReadOptions& options,
+                                   const std::set<std::int64_t>& offsets);
 
 // One per format. `lines` holds the lines with known tags, of one family and dimension.
 template <class Pose>

@@ -26,7 +26,7 @@ constexpr char kSquare[] =
 TEST_F(Command, HelpAndVersion) {
   const Outcome help = Run("--help");
   EXPECT_EQ(help.exit_code, 0);
-  for (const char* name : {"info", "solve", "compact", "convert", "evaluate", "generate"}) {
+  for (const char* name : {"info", "solve", "compact", "online", "convert", "evaluate", "generate"}) {
     EXPECT_NE(help.out.find(name), std::string::npos);
     const Outcome own = Run(std::string(name) + " --help");
     EXPECT_EQ(own.exit_code, 0);

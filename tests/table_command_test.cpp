@@ -1,5 +1,5 @@
 // `terse table igg-spo`: the published figures where the public data is present, and its errors. Builds with sanitizers
-// take the fast variants only.
+// take the fast variants only. `terse table compact`: on generated graphs.
 
 #include <gtest/gtest.h>
 
@@ -86,6 +86,111 @@ TEST_F(TableCommand, ReproducesThePaperWithPriors) {
   const auto& gni = Row(rows, "gni");
   ExpectWithin(1e-3, 0.0172738, gni["normalized_chi2"]["final"], "GNi");
   ExpectWithin(1e-3, 0.0199852, gni["normalized_chi2"]["mean"], "GNi");
+}
+
+class CompactTable : public TableCommand {
+ protected:
+  nlohmann::json Table(const std::string& rest) const { return Json("table compact . --json --quiet " + rest); }
+};
+
+TEST_F(CompactTable, SaysWhatIsMissing) {
+  ExpectFailure("table compact", 2, "DIR");
+  ExpectFailure("table compact . --graphs ellipse,nothing", 2, "nothing");
+  ExpectFailure("table compact . --sample 2", 2, "--sample");
+  ExpectFailure("table compact . --graphs ellipse,sphere2500", 1, "sphere2500.g2o: no such file");
+  ExpectFailure("table compact nowhere", 1, "kitti00_all_loops.g2o: no such file");
+  Write("sphere2500.g2o", "VERTEX_SE3:QUAT 0 0 0\n");
+  ExpectFailure("table compact . --graphs sphere2500", 1, "sphere2500.g2o:1");
+  Write("taken", "");
+  ExpectFailure("table compact . --graphs ellipse --output taken", 1, "taken");
+}
+
+TEST_F(CompactTable, AgreesWithItselfOnTheEllipse) {
+  const auto json = Table("--graphs ellipse --random-runs 2 --apfl --output figures");
+  ASSERT_EQ(json["graphs"].size(), 1u);
+  const auto& row = json["graphs"][0];
+  EXPECT_EQ(row["graph"], "ellipse");
+  EXPECT_EQ(row["reference"], "exact");
+  EXPECT_EQ(row["poses"], 170);
+  const int links = row["links"];
+  EXPECT_EQ(row["recovery"]["v2"], row["fpfl"]["errors"]);
+  EXPECT_NE(row["recovery"]["v0"], row["recovery"]["v2"]);
+  EXPECT_EQ(row["thresholds"]["range"].size(), 4u);
+  EXPECT_EQ(row["apal"]["poses_kept"], 170);
+  EXPECT_EQ(row["apal"]["links_kept"], links);
+  EXPECT_EQ(row["apal"]["ate_ratio"], 1.0);
+  EXPECT_EQ(row["apfl"]["poses_kept"], 170);
+  EXPECT_LT(row["fpfl"]["poses_kept"], 170);
+  EXPECT_LT(row["fpfl"]["links_kept"], links);
+  EXPECT_EQ(row["rfpfl"]["poses_kept"], row["fpfl"]["poses_kept"]);
+  EXPECT_LE(row["rfpfl"]["links_kept"], row["fpfl"]["links_kept"]);
+  for (const char* strategy : {"apal", "apfl", "fpfl", "rfpfl"}) {
+    const auto& of = row[strategy];
+    const double kept = of["poses_kept"], ate = of["errors"]["ate"]["translation_m"];
+    EXPECT_NEAR(of["poses_percent"].get<double>(), 100 * kept / 170, 1e-9) << strategy;
+    EXPECT_NEAR(of["ate_ratio"].get<double>() * row["apal"]["errors"]["ate"]["translation_m"].get<double>(), ate, 1e-9);
+    EXPECT_EQ(of["seconds"]["covariances"].is_null(), strategy != std::string("apal")) << strategy;
+  }
+  const double apal = row["apal"]["seconds"]["total"], fpfl = row["fpfl"]["seconds"]["total"];
+  EXPECT_NEAR(row["time_ratio"].get<double>(), apal / fpfl, 1e-6 * apal / fpfl);
+  EXPECT_EQ(row["paper"]["poses_percent"], 23.5);
+  ASSERT_EQ(json["files"].size(), 4u);
+  for (const auto& file : json["files"]) EXPECT_TRUE(Exists(file)) << file;
+}
+
+// The paper's order: what is left out can only make the map less certain.
+TEST_F(CompactTable, NormsAreConservative) {
+  Table("--graphs ellipse --random-runs 0 --output figures");
+  const auto rows = testing::CsvRows(Read("figures/ellipse_norms.csv"));
+  ASSERT_EQ(rows.size(), 3u * 170);
+  for (std::size_t k = 0; k < rows.size(); k += 3) {
+    EXPECT_EQ(rows[k][1], "apal");
+    EXPECT_EQ(rows[k + 1][1], "marginalised");
+    EXPECT_EQ(rows[k + 2][1], "fpfl");
+    for (std::size_t column = 2; column < 6; ++column) {
+      const double apal = std::stod(rows[k][column]), marginalised = std::stod(rows[k + 1][column]);
+      const double fpfl = std::stod(rows[k + 2][column]);
+      // Each has its own linearisation points.
+      EXPECT_LE(apal, 1.05 * marginalised + 1e-12) << "row " << k << " column " << column;
+      EXPECT_LE(marginalised, 1.05 * fpfl + 1e-12) << "row " << k << " column " << column;
+    }
+  }
+}
+
+TEST_F(CompactTable, FindsFilesAndReferences) {
+  Succeed("generate garage --poses 80 --output parking-garage.g2o");
+  std::filesystem::create_directories(folder_ / "deep/down");
+  Succeed("generate manhattan --poses 200 --output deep/down/10kHog-man.g2o");
+  const auto json = Table("--graphs parking-garage,10kHog-man --random-runs 1");
+  ASSERT_EQ(json["graphs"].size(), 2u);
+  const auto& garage = json["graphs"][0];
+  EXPECT_EQ(garage["reference"], "optimum");
+  EXPECT_TRUE(garage["fpfl"]["ate_ratio"].is_null());
+  EXPECT_LT(garage["apal"]["errors"]["ate"]["translation_m"], 1e-4) << "is the optimum itself";
+  const auto& grid = json["graphs"][1];
+  EXPECT_EQ(grid["graph"], "w10000_hogman");
+  EXPECT_EQ(grid["reference"], "grid");
+  EXPECT_GT(grid["fpfl"]["ate_ratio"], 0);
+  EXPECT_TRUE(json["files"].empty());
+}
+
+TEST_F(CompactTable, TextAndDocument) {
+  Write("doc.md", "before\n<!-- tables -->\nstale text\n<!-- /tables -->\nafter\n");
+  const std::string text =
+      Succeed("table compact . --graphs ellipse-n --laps 2 --random-runs 1 --output f --update doc.md").out;
+  for (const char* part : {"Table 1", "Table 2", "Table 3", "Table 4", "FPFL", "ellipse-n", "(27)"}) {
+    EXPECT_NE(text.find(part), std::string::npos) << part << '\n' << text;
+  }
+  const std::string document = Read("doc.md");
+  EXPECT_EQ(document.find("stale text"), std::string::npos);
+  EXPECT_EQ(document.rfind("before\n<!-- tables -->\n", 0), 0u);
+  EXPECT_NE(document.find("<!-- /tables -->\nafter\n"), std::string::npos);
+  const auto laps = testing::CsvRows(Read("f/ellipse-n_laps.csv"));
+  ASSERT_EQ(laps.size(), 4u);
+  EXPECT_EQ(laps[1][1], "2");
+  EXPECT_GT(std::stod(laps[1][4]), std::stod(laps[0][4])) << "time adds up";
+  Write("plain.md", "nothing to fill\n");
+  ExpectFailure("table compact . --graphs ellipse --update plain.md --quiet", 1, "plain.md");
 }
 
 }  // namespace

@@ -14,7 +14,7 @@ namespace terse {
 class TestFile {
  public:
   explicit TestFile(const std::string& name)
-      : path_(testing::TempDir() + "terse_" + std::to_string(::getpid()) + "_" + name) {}
+      : path_(::testing::TempDir() + "terse_" + std::to_string(::getpid()) + "_" + name) {}
   TestFile(const std::string& name, const std::string& content) : TestFile(name) {
     std::ofstream(path_, std::ios::binary) << content;
   }

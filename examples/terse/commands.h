@@ -19,8 +19,11 @@ void AddEvaluateCommand(CLI::App& app);
 void AddGenerateCommand(CLI::App& app);
 void AddSolveCommand(CLI::App& app);
 void AddCompactCommand(CLI::App& app);
+void AddOnlineCommand(CLI::App& app);
 void AddCovarianceCommand(CLI::App& app);
 void AddTableCommand(CLI::App& app);
+void AddCompactTable(CLI::App& table);  // a subcommand of table
+void AddSweepCommand(CLI::App& app);
 
 // --rotation-information and --repair-information, for every subcommand that reads a graph.
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);

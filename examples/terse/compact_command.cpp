@@ -1,16 +1,17 @@
 #include <cmath>
-#include <filesystem>
 #include <iostream>
 #include <limits>
 
 #include "commands.h"
+#include "compact_output.h"
+#include "compact_run.h"
 #include "covariance_output.h"
 #include "progress.h"
 #include "report.h"
 #include "terse/compact/thresholds.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
-#include "terse/covariance/marginals.h"
+#include "terse/covariance/incremental_marginals.h"
 #include "thresholds_file.h"
 
 namespace terse {
@@ -94,53 +95,17 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   return options;
 }
 
-void WriteDecisions(const std::vector<Decision>& decisions, const std::string& path) {
-  AtomicFile file(path);
-  std::ostream& out = file.Stream();
-  out << "pose,kept,verdict,pose_gain_nats,registrations_tried,links_accepted,"
-         "candidates,probabilities,gains_nats,measured_gains_nats,accepted,innovations,links_refused,factors\n";
-  for (const Decision& d : decisions) {
-    out << d.id.value << ',' << (d.Kept() ? 1 : 0) << ',' << Name(d.verdict) << ','
-        << (d.pose_gain ? Shortest(*d.pose_gain) : "") << ',' << d.registrations_tried << ',' << d.links_accepted;
-    const auto list = [&](auto&& text) {
-      out << ',';
-      for (std::size_t k = 0; k < d.candidates.size(); ++k) out << (k > 0 ? " " : "") << text(d.candidates[k]);
-    };
-    list([](const Candidate& c) { return std::to_string(c.id.value); });
-    list([](const Candidate& c) { return Shortest(c.probability); });
-    list([](const Candidate& c) { return Shortest(c.gain); });
-    list([](const Candidate& c) { return c.measured_gain ? Shortest(*c.measured_gain) : std::string("-"); });
-    list([](const Candidate& c) { return std::string(c.accepted ? "1" : "0"); });
-    list([](const Candidate& c) { return c.innovation ? Shortest(*c.innovation) : std::string("-"); });
-    out << ',' << d.links_refused;
-    list([](const Candidate& c) { return c.factor ? std::to_string(c.factor->value) : std::string("-"); });
-    out << '\n';
-  }
-  file.Commit();
-}
-
 template <class Pose>
 void WriteResults(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result,
                   const std::vector<Decision>& decisions, const CompactCommandOptions& options, Stats& stats) {
-  const std::string folder = options.directory + "/";
-  PoseGraph<Pose> kept = slam.Solver().Graph();
-  std::vector<PoseId> kept_ids;
-  for (std::size_t k = 0; k < result.T_world_body.size(); ++k) {
-    kept_ids.push_back(kept.Poses()[k].id);
-    kept.SetPose(kept_ids.back(), result.T_world_body[k]);
-  }
-  WriteG2o(kept, folder + "compact.g2o", options.read.rotation_information);
+  WriteCompactMap(slam, result, options.recovery, options.read.rotation_information, options.directory);
+  WriteDecisions(decisions, options.directory + "/decisions.csv");
   std::vector<PoseId> ids;
-  std::vector<Pose> values;
-  for (const auto& pose : slam.Trajectory(options.recovery)) {
-    ids.push_back(pose.id);
-    values.push_back(pose.T_world_body);
-  }
-  WriteTum(MakeTrajectory(ids, values), folder + "trajectory.tum");
-  WriteDecisions(decisions, folder + "decisions.csv");
+  for (const auto& node : slam.Solver().Graph().Poses()) ids.push_back(node.id);
   const double before = SecondsNow();
-  const Marginals<Pose> marginals(kept, result.T_world_body, result.factor);
-  WriteCovariances<Pose>(kept_ids, marginals.AllMarginals(), folder + "covariances.csv");
+  // Finish left the solver at the optimum, with the weights of its loops.
+  const IncrementalMarginals<Pose> marginals(slam.Solver());
+  WriteCovariances<Pose>(ids, marginals.AllMarginals(), options.directory + "/covariances.csv");
   stats.seconds_covariance = SecondsNow() - before;
 }
 
@@ -163,31 +128,17 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
   FlushOutput();
 }
 
-// Every pose and link of the file offered to a run with these options.
-template <class Pose>
-std::vector<Decision> Run(GraphReplay<Pose>& replay, CompactPoseSlam<Pose>& slam, const char* name, bool quiet,
-                          Stats& stats) {
-  std::vector<Decision> decisions;
-  Progress progress(name, static_cast<long>(replay.Inputs().size()), quiet);
-  for (const auto& input : replay.Inputs()) {
-    const double before = SecondsNow();
-    decisions.push_back(slam.AddPose(input, replay.AsRegistration()));
-    stats.step_seconds.push_back(SecondsNow() - before);
-    progress.Update(static_cast<long>(decisions.size()));
-  }
-  return decisions;
-}
-
 // The random baseline keeps as many poses and links as a run by information does.
 template <class Pose>
 void DrawAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, const CompactCommandOptions& options,
                   GraphReplay<Pose>& replay) {
   GraphReplay<Pose> informed(graph);
   settings.strategy = Strategy::kFpfl;
-  CompactPoseSlam<Pose> slam(settings);
-  Stats unused;
-  Run(informed, slam, "count", options.quiet, unused);
-  replay.DrawAtRandom(static_cast<int>(slam.Solver().Graph().Poses().size()), slam.LinksKept(), options.seed);
+  CompactRunOptions<Pose> run_options;
+  run_options.label = "count";
+  run_options.quiet = options.quiet;
+  const CompactRun<Pose> run = RunCompact(settings, informed, run_options);
+  replay.DrawAtRandom(run.PosesKept(), run.slam.LinksKept(), options.seed);
 }
 
 template <class Pose>
@@ -196,19 +147,14 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, stats);
   WriteThresholds(settings, options.directory + "/thresholds.json");
   if (options.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
-  CompactPoseSlam<Pose> slam(settings);
-  const std::vector<Decision> decisions = Run(replay, slam, "poses", options.quiet, stats);
-  const BatchResult<Pose> result = slam.Finish();
-  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(result.message);
-  }
-  WriteResults(slam, result, decisions, options, stats);
+  CompactRunOptions<Pose> run_options;
+  run_options.quiet = options.quiet;
+  CompactRun<Pose> run = RunCompact(settings, replay, run_options);
+  const CompactPoseSlam<Pose>& slam = run.slam;
+  const BatchResult<Pose>& result = run.result;
+  stats.step_seconds = std::move(run.step_seconds);
+  WriteResults(slam, result, run.decisions, options, stats);
   const EdgeCounts kept = CountEdges(slam.Solver().Graph());
-  long tried = 0, refused = 0;
-  for (const Decision& d : decisions) {
-    tried += d.registrations_tried;
-    refused += d.links_refused;
-  }
   stats.poses = graph.Poses().size();
   stats.counts = CountEdges(graph);
   stats.chi2 = result.chi2;
@@ -222,8 +168,8 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   stats.more["poses_kept"] = slam.Solver().Graph().Poses().size();
   stats.more["links_kept"] = slam.LinksKept();
   stats.more["links_offered"] = replay.LinksOffered();
-  stats.more["registrations_tried"] = tried;
-  stats.more["links_refused"] = refused;
+  stats.more["registrations_tried"] = run.registrations_tried;
+  stats.more["links_refused"] = run.links_refused;
   nlohmann::ordered_json thresholds = ThresholdsToJson(settings);
   thresholds.erase("link_covariance");
   stats.more["thresholds"] = std::move(thresholds);
@@ -240,14 +186,7 @@ void Compact(const CompactCommandOptions& options) {
   if (!options.quiet) ReportRepairs(file, options.path);
   std::visit([&](const auto& graph) { CheckRange(graph, options); }, file.graph);
   // Before the long run, not after it.
-  std::error_code error;
-  std::filesystem::create_directories(options.directory, error);
-  if (!std::filesystem::is_directory(options.directory)) {
-    const std::string reason =
-        std::filesystem::exists(options.directory) ? "a file of this name is in the way" : error.message();
-    throw FileError(options.directory, 0, "cannot make this folder: " + reason);
-  }
-  RequireWritable(options.directory + "/stats.json");
+  RequireFolder(options.directory);
   AddPathToErrors(options.path, [&] {
     std::visit([&](const auto& graph) { CompactGraph(graph, options, std::move(stats), start); }, file.graph);
   });

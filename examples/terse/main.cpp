@@ -60,11 +60,13 @@ int Run(int argc, char** argv) {
   terse::AddInfoCommand(app);
   terse::AddSolveCommand(app);
   terse::AddCompactCommand(app);
+  terse::AddOnlineCommand(app);
   terse::AddCovarianceCommand(app);
   terse::AddConvertCommand(app);
   terse::AddEvaluateCommand(app);
   terse::AddGenerateCommand(app);
   terse::AddTableCommand(app);
+  terse::AddSweepCommand(app);
   try {
     app.parse(argc, argv);
     return 0;

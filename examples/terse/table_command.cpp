@@ -9,12 +9,11 @@
 #include <sstream>
 
 #include "commands.h"
+#include "ground_truth.h"
 #include "policy.h"
 #include "progress.h"
 #include "report.h"
-#include "terse/core/batch_solver.h"
 #include "terse/core/error.h"
-#include "terse/core/initial_values.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/replay.h"
 
@@ -115,15 +114,6 @@ Row RunPolicy(const PoseGraph<SE2>& graph, const std::vector<SE2>& optimum, cons
   });
   if (options.report_paper_flops) row.paper_update = paper_update, row.paper_solve = paper_solve;
   return row;
-}
-
-// The better of two starts: the files' values lead to a local minimum on MIT.
-BatchResult<SE2> BatchOptimum(const PoseGraph<SE2>& graph) {
-  BatchResult<SE2> best = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kFile));
-  BatchResult<SE2> other = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kChordal));
-  if (other.Converged() && (!best.Converged() || other.chi2 < best.chi2)) best = std::move(other);
-  if (!best.Converged()) throw NumericalError("no batch optimum to compare with: " + best.message);
-  return best;
 }
 
 bool IsChosen(const std::string& name, const std::vector<std::string>& chosen) {
@@ -246,6 +236,7 @@ void AddTableCommand(CLI::App& app) {
       "mean per edge; our: floating-point operations of this program.\n"
       "Example: terse table igg-spo graphs/igg_spo --graphs MIT,FR079 --initial file");
   command->callback([options] { RunIggSpo(*options); });
+  AddCompactTable(*table);
 }
 
 }  // namespace terse

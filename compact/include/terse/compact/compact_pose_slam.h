@@ -78,6 +78,12 @@ class CompactPoseSlam {
   // The same measurement between the kept poses that its ends hang on: T_base_pose of a dropped end composed to it, the
   // covariance too. (The chain's error is counted in the map's odometry as well; the two are taken as independent.)
   RelativePoseFactor<Pose> CarryToKept(const RelativePoseFactor<Pose>& link) const;
+  // The same for one end alone: the other may be a pose that is yet to come. Throws std::invalid_argument if `end` is
+  // no end of the link or unknown.
+  RelativePoseFactor<Pose> CarryEndToKept(PoseId end, const RelativePoseFactor<Pose>& link) const;
+  // A prior that comes late, on any pose seen; a pose prior on a dropped pose is carried to the kept one. Throws
+  // std::invalid_argument for an unknown pose, a defective prior, or a position prior on a dropped pose.
+  FactorId AddPrior(const Factor<Pose>& prior);
   // A kept pose itself, for a dropped one the kept pose that it hangs on. Throws std::invalid_argument if unknown.
   PoseId KeptBase(PoseId id) const { return Find(id).base; }
   bool HasSeen(PoseId id) const { return index_.count(id.value) != 0; }
@@ -112,6 +118,11 @@ class CompactPoseSlam {
     std::optional<PoseId> next_kept;
     UncertainPose<Pose> T_base_next;
   };
+  // A link that the innovation test refused.
+  struct Refused {
+    PoseId candidate, seen;
+    UncertainPose<Pose> T_candidate_seen;
+  };
   struct Evaluated;  // a candidate with its covariance
   struct Current;    // the pose at hand
 
@@ -129,12 +140,17 @@ class CompactPoseSlam {
   std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
                                                    PoseId current) const;
   const Seen& Find(PoseId id) const;
+  RelativePoseFactor<Pose> Carry(const RelativePoseFactor<Pose>& link, const Seen* from, const Seen* to) const;
   // compact_search.cpp
   void UpdateCovariances();
   void UpdateSearch(int base);
   std::vector<int> InReach(const Current& current);
   std::vector<Evaluated> Evaluate(const Current& current, const std::vector<int>& poses) const;
 
+  // compact_outliers.cpp
+  UncertainPose<Pose> Between(PoseId a, PoseId b) const;
+  bool IsSupported(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured) const;
+  void RememberRefused(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured);
   // compact_state.cpp
   friend struct internal::StateAccess;
   template <class Archive>
@@ -147,6 +163,7 @@ class CompactPoseSlam {
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<FactorId> links_;                  // ascending
+  std::vector<Refused> refused_;                 // the last ones
   bool searches_ = false;                        // covariances are kept with every change
   // Of all kept poses, as seen from them: the kept pose that the search was last made ready for, with covariances.
   std::vector<UncertainPose<Pose>> T_pose_base_;

@@ -17,6 +17,7 @@ struct Candidate {
   std::optional<double> measured_gain;  // nats, with the registered covariance; absent if registration failed
   std::optional<double> innovation;     // squared Mahalanobis distance (innovation.h); absent if it is not tested
   bool outlier = false;                 // the innovation is too large: not linked, whatever its gain
+  bool supported = false;               // it was, but others agree with it (CompactOptions::consensus)
   bool accepted = false;
   std::optional<FactorId> factor;  // if accepted: CompactPoseSlam::RemoveLink takes it
 };

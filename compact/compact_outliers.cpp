@@ -1,0 +1,57 @@
+// Links that disagree with the map: refused, unless enough of them agree with each other. Then it is the map that is
+// off, as after odometry that was worse than its covariance says.
+
+#include <set>
+
+#include "compact_pose_slam_parts.h"
+#include "terse/compact/innovation.h"
+
+namespace terse {
+namespace {
+
+// A link that is supported finds its support among the last ones: they come from poses close behind each other.
+constexpr std::size_t kMostRefused = 16;
+
+}  // namespace
+
+// T_a_b between kept poses, from the map.
+template <class Pose>
+UncertainPose<Pose> CompactPoseSlam<Pose>::Between(PoseId a, PoseId b) const {
+  if (a == b) return {};
+  return {solver_->Estimate(a).Inverse() * solver_->Estimate(b), marginals_->Relative(a, b)};
+}
+
+// Whether enough refused links of other poses predict this one of the pose at hand.
+template <class Pose>
+bool CompactPoseSlam<Pose>::IsSupported(const Current& current, PoseId candidate,
+                                        const UncertainPose<Pose>& measured) const {
+  std::set<PoseId> supporters;
+  for (auto it = refused_.rbegin(); it != refused_.rend(); ++it) {
+    if (it->seen == current.input->id || supporters.count(it->seen) != 0) continue;
+    const Seen& seen = Find(it->seen);
+    const UncertainPose<Pose> T_candidate_seen = Compose(Between(candidate, it->candidate), it->T_candidate_seen);
+    const UncertainPose<Pose> T_seen_current =
+        Compose(Invert(seen.T_base_pose), Compose(Between(seen.base, current.base), current.T_base_current));
+    if (InnovationDistance(Compose(T_candidate_seen, T_seen_current), measured) > most_innovation_) continue;
+    supporters.insert(it->seen);
+    if (static_cast<int>(supporters.size()) + 1 >= options_.consensus) return true;
+  }
+  return false;
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::RememberRefused(const Current& current, PoseId candidate,
+                                            const UncertainPose<Pose>& measured) {
+  refused_.push_back({candidate, current.input->id, measured});
+  if (refused_.size() > kMostRefused) refused_.erase(refused_.begin());
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                               \
+  template UncertainPose<Pose> CompactPoseSlam<Pose>::Between(PoseId, PoseId) const;                          \
+  template bool CompactPoseSlam<Pose>::IsSupported(const Current&, PoseId, const UncertainPose<Pose>&) const; \
+  template void CompactPoseSlam<Pose>::RememberRefused(const Current&, PoseId, const UncertainPose<Pose>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse

@@ -1,0 +1,56 @@
+#pragma once
+// Lines of the g2o format one at a time, as a robot sends them. Whole files go through the same parser (graph_file.h
+// lists the tags).
+
+#include <set>
+#include <string>
+#include <string_view>
+#include <variant>
+#include <vector>
+
+#include "terse/core/graph_file.h"
+
+namespace terse {
+
+template <class Pose>
+struct VertexLine {
+  PoseId id;
+  Pose T_world_body;
+};
+struct FixLine {
+  std::vector<PoseId> poses;
+};
+// PARAMS_SE3OFFSET. A prior that names an offset other than the identity does not measure the body and is refused.
+struct SensorOffsetLine {
+  std::int64_t id = 0;
+  bool is_identity = true;
+};
+
+template <class Pose>
+using MeasurementLine = std::variant<VertexLine<Pose>, FixLine, SensorOffsetLine, Factor<Pose>>;
+
+// 2 or 3 for a line whose tag says so, else 0.
+int DimensionOfLine(std::string_view text);
+
+template <class Pose>
+class MeasurementLineReader {
+ public:
+  // `source`: the name for messages.
+  explicit MeasurementLineReader(std::string source, const ReadOptions& options = {})
+      : source_(std::move(source)), options_(options) {}
+
+  // Throws FileError with the source, `number` and the cause, and then is as before: an unknown tag, one of another
+  // format or dimension, a wrong field, a defective factor. An information matrix that is not positive definite is
+  // clamped if the options say so.
+  MeasurementLine<Pose> Read(std::string_view text, long number);
+
+ private:
+  std::string source_;
+  ReadOptions options_;
+  std::set<std::int64_t> offsets_;  // not the identity
+};
+
+extern template class MeasurementLineReader<SE2>;
+extern template class MeasurementLineReader<SE3>;
+
+}  // namespace terse

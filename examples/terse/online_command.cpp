@@ -1,0 +1,391 @@
+#include <charconv>
+#include <cmath>
+#include <iostream>
+#include <optional>
+
+#include "commands.h"
+#include "compact_output.h"
+#include "journal.h"
+#include "online_json.h"
+#include "report.h"
+#include "terse/core/measurement_line.h"
+#include "thresholds_file.h"
+
+namespace terse {
+namespace {
+
+using nlohmann::ordered_json;
+
+struct OnlineCommandOptions {
+  int dimension = 0;  // 0: the first measurement tells
+  std::string thresholds, journal, directory;
+  Strategy strategy = Strategy::kFpfl;
+  std::vector<double> range, link_deviation;
+  std::optional<double> probability, min_pose_gain, min_loop_gain;
+  double innovation_quantile = 0.9999;  // 1: no test
+  Recovery recovery = Recovery::kV2;
+  ReadOptions read;
+  bool strict = false, quiet = false;
+};
+
+constexpr char kSource[] = "stdin";
+constexpr char kBlanks[] = " \t\r\v\f";
+
+std::string Trimmed(const std::string& text) {
+  const std::size_t first = text.find_first_not_of(kBlanks);
+  return first == std::string::npos ? "" : text.substr(first, text.find_last_not_of(kBlanks) - first + 1);
+}
+
+// Standard input by lines, some of which may be looked at before they are taken.
+class LineSource {
+ public:
+  // The dimension of the first measurement that has one, 0 if none comes.
+  int FindDimension() {
+    for (const std::string& line : ahead_) {
+      if (const int dimension = DimensionOfLine(line); dimension != 0) return dimension;
+    }
+    for (std::string line; Read(line);) {
+      ahead_.push_back(line);
+      if (const int dimension = DimensionOfLine(line); dimension != 0) return dimension;
+    }
+    return 0;
+  }
+  bool Next(std::string& line) {
+    ++number_;
+    if (taken_ == ahead_.size()) return Read(line);
+    line = ahead_[taken_++];
+    return true;
+  }
+  long Number() const { return number_; }
+  // The last line has no end: what is there may be half of a number.
+  bool IsTorn() const { return torn_ && taken_ == ahead_.size(); }
+
+ private:
+  bool Read(std::string& line) {
+    if (!std::getline(std::cin, line)) return false;
+    torn_ = std::cin.eof();
+    line = Trimmed(line);
+    return true;
+  }
+  std::vector<std::string> ahead_;
+  std::size_t taken_ = 0;
+  long number_ = 0;
+  bool torn_ = false;
+};
+
+template <class Pose>
+class OnlineRun {
+ public:
+  OnlineRun(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options, Journal* journal)
+      : options_(options), slam_(settings), stream_(slam_), reader_(kSource, options.read), journal_(journal) {}
+
+  void Resume() {
+    long number = 0, lines = 0;
+    for (const std::string& record : journal_->Lines()) {
+      ++number;
+      const bool failed = record[0] == kFailed;
+      try {
+        Note(Apply(failed ? record.substr(1) : record, number));
+      } catch (const NumericalError&) {
+        if (failed) continue;
+        throw FileError(journal_->Path(), number + 2, "the line fails now, other than when it was written");
+      } catch (const std::exception& error) {
+        throw FileError(journal_->Path(), number + 2, std::string("the line does not fit: ") + error.what());
+      }
+      lines += !failed && record != kFlush;
+    }
+    const long cut = journal_->CutTail();
+    if (cut > 0 && !options_.quiet) {
+      std::cerr << "terse: warning: " << journal_->Path() << ": " << cut << " bytes of a line in flight were cut off\n";
+    }
+    const auto id = [](std::optional<PoseId> pose) { return pose ? ordered_json(pose->value) : ordered_json(); };
+    Print({{"resumed", true},
+           {"poses", slam_.PosesSeen()},
+           {"last_pose", id(last_)},
+           {"open_pose", id(stream_.Open())},
+           {"lines", lines}});
+  }
+
+  void Take(const std::string& text, long number) {
+    const double before = SecondsNow();
+    if (IsFlush(text) ? !stream_.Open() : IsComment(text)) return;
+    std::vector<StreamOutcome> outcomes;
+    try {
+      outcomes = Apply(text, number);
+      Record(IsFlush(text) ? kFlush : text);
+    } catch (const NumericalError& error) {
+      Record(kFailed + text);  // the pose at hand is gone
+      Refuse(FileError(kSource, number, error.what()));
+    } catch (const FileError& error) {
+      if (error.path() != kSource) throw;  // the journal's
+      Refuse(error);
+    } catch (const std::invalid_argument& error) {
+      Refuse(FileError(kSource, number, error.what()));
+    }
+    Note(outcomes);
+    if (outcomes.empty()) return;
+    if (journal_ != nullptr) journal_->Sync();
+    if (options_.quiet) return;
+    const double seconds = SecondsNow() - before;
+    for (const StreamOutcome& outcome : outcomes) {
+      ordered_json json = ToJson(outcome, slam_);
+      json["seconds"] = seconds;
+      Print(json);
+    }
+  }
+
+  void Refuse(const FileError& error) {
+    Print({{"error", error.what()}});
+    if (options_.strict) throw error;
+  }
+
+  void Finish() {
+    Take(kFlush, 0);
+    if (journal_ != nullptr) journal_->Sync();
+    if (options_.directory.empty()) return;
+    if (slam_.PosesSeen() == 0) throw FileError(kSource, 0, "no measurement came: there is nothing to write");
+    const BatchResult<Pose> result = slam_.Finish();
+    if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
+      throw NumericalError(result.message);
+    }
+    WriteCompactMap(slam_, result, options_.recovery, options_.read.rotation_information, options_.directory);
+    WriteDecisions(decisions_, options_.directory + "/decisions.csv");
+  }
+
+ private:
+  // In the journal: a line that closes the pose at hand, and the first character of one on which the solver failed.
+  static constexpr char kFlush[] = "FLUSH", kFailed = '!';
+
+  static bool IsFlush(const std::string& text) { return text.empty() || text == kFlush; }
+  static bool IsComment(const std::string& text) { return text[0] == '#' || text.compare(0, 2, "//") == 0; }
+
+  std::vector<StreamOutcome> Apply(const std::string& text, long number) {
+    if (IsFlush(text)) return stream_.Flush();
+    if (text.compare(0, kRemove.size(), kRemove) == 0) {
+      RemoveLink(Trimmed(text.substr(kRemove.size())), number);
+      return {};
+    }
+    const MeasurementLine<Pose> line = reader_.Read(text, number);
+    if (const auto* factor = std::get_if<Factor<Pose>>(&line)) return stream_.Add(*factor);
+    if (const auto* vertex = std::get_if<VertexLine<Pose>>(&line)) stream_.SetValue(vertex->id, vertex->T_world_body);
+    if (const auto* fix = std::get_if<FixLine>(&line)) stream_.Fix(fix->poses);
+    return {};
+  }
+
+  void RemoveLink(const std::string& text, long number) {
+    FactorId id;
+    const std::from_chars_result end = std::from_chars(text.data(), text.data() + text.size(), id.value);
+    if (end.ec != std::errc() || end.ptr != text.data() + text.size()) {
+      throw FileError(kSource, number, "REMOVE takes the number of one factor");
+    }
+    slam_.RemoveLink(id);
+  }
+
+  void Record(const std::string& text) {
+    if (journal_ != nullptr) journal_->Append(text);
+  }
+
+  void Note(const std::vector<StreamOutcome>& outcomes) {
+    for (const StreamOutcome& outcome : outcomes) {
+      const auto* decision = std::get_if<Decision>(&outcome);
+      if (decision == nullptr) continue;
+      last_ = decision->id;
+      if (!options_.directory.empty()) decisions_.push_back(*decision);
+    }
+  }
+
+  void Print(const ordered_json& json) {
+    std::cout << OneLine(json);
+    FlushOutput();
+  }
+
+  static constexpr std::string_view kRemove = "REMOVE ";
+
+  const OnlineCommandOptions& options_;
+  CompactPoseSlam<Pose> slam_;
+  MeasurementStream<Pose> stream_;
+  MeasurementLineReader<Pose> reader_;
+  Journal* journal_;
+  std::vector<Decision> decisions_;  // for decisions.csv
+  std::optional<PoseId> last_;
+};
+
+template <class Pose>
+CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
+  constexpr int kSize = Displacement<Pose>::kSize;
+  CompactOptions<Pose> options;
+  options.strategy = from.strategy;
+  if (!from.thresholds.empty()) ReadThresholds(from.thresholds, options);
+  if (!from.range.empty()) {
+    if (from.range.size() != kSize) {
+      throw CLI::ValidationError("--range", std::to_string(from.range.size()) + " numbers given, but a " +
+                                                std::to_string(Pose::kDim) + "D run takes " +
+                                                (kSize == 4 ? "X Y Z ANGLE" : "X Y ANGLE"));
+    }
+    options.range = Eigen::Map<const Vector<kSize>>(from.range.data());
+  }
+  if (!from.link_deviation.empty()) {
+    Vector<Pose::kDof> deviation;
+    deviation.setConstant(from.link_deviation[1]);
+    deviation.template head<Pose::kDim>().setConstant(from.link_deviation[0]);
+    options.link_covariance = deviation.cwiseAbs2().asDiagonal();
+  }
+  options.probability = from.probability.value_or(options.probability);
+  options.min_loop_gain = from.min_loop_gain.value_or(options.min_loop_gain);
+  options.min_pose_gain = from.min_pose_gain.value_or(options.min_pose_gain);
+  options.innovation_quantile.reset();
+  if (from.innovation_quantile < 1) options.innovation_quantile = from.innovation_quantile;
+  return options;
+}
+
+// What a journal's lines mean depends on these.
+template <class Pose>
+ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options) {
+  ordered_json json = ThresholdsToJson(settings);
+  json["strategy"] = Name(settings.strategy);
+  json["innovation_quantile"] = options.innovation_quantile;
+  json["rotation_information"] =
+      options.read.rotation_information == RotationInformation::kRadians ? "radians" : "quaternion";
+  json["repair_information"] = options.read.repair_information;
+  return json;
+}
+
+ordered_json ParseHeader(const Journal& journal) {
+  ordered_json json = ordered_json::parse(journal.Header(), nullptr, false);
+  if (!json.is_object()) throw FileError(journal.Path(), 0, "the journal's header is no JSON object");
+  return json;
+}
+
+void ExpectSameHeader(const Journal& journal, const ordered_json& now) {
+  const ordered_json then = ParseHeader(journal);
+  for (const auto& [key, value] : now.items()) {
+    const ordered_json old = then.value(key, ordered_json());
+    if (old == value) continue;
+    throw FileError(
+        journal.Path(), 0,
+        "the journal was begun with other options: " + key + " is " + old.dump() + " there, " + value.dump() + " now");
+  }
+}
+
+template <class Pose>
+void RunOnline(const OnlineCommandOptions& options, Journal* journal, LineSource& source) {
+  const CompactOptions<Pose> settings = MakeOptions<Pose>(options);
+  OnlineRun<Pose> run(settings, options, journal);
+  if (journal != nullptr) {
+    const ordered_json header = JournalHeader(settings, options);
+    if (journal->IsNew()) {
+      journal->Create(header.dump());
+    } else {
+      ExpectSameHeader(*journal, header);
+      run.Resume();
+    }
+  }
+  for (std::string line; source.Next(line);) {
+    if (source.IsTorn() && !line.empty()) {
+      run.Refuse(FileError(kSource, source.Number(), "the input ends within this line"));
+    } else {
+      run.Take(line, source.Number());
+    }
+  }
+  run.Finish();
+}
+
+// 2 or 3; 0 if only the input tells.
+int KnownDimension(const OnlineCommandOptions& options, const Journal* journal) {
+  if (options.dimension != 0) return options.dimension;
+  if (!options.thresholds.empty()) return ReadThresholdsDimension(options.thresholds);
+  if (!options.range.empty()) return static_cast<int>(options.range.size()) - 1;
+  if (journal == nullptr || journal->IsNew()) return 0;
+  const ordered_json dimension = ParseHeader(*journal).value("dimension", ordered_json());
+  return dimension == 2 ? 2 : 3;
+}
+
+void Online(const OnlineCommandOptions& options) {
+  if (options.strategy != Strategy::kApal && options.thresholds.empty() && options.range.empty()) {
+    throw CLI::ValidationError("--thresholds", "this or --range is required");
+  }
+  if (!options.directory.empty()) RequireFolder(options.directory);
+  std::optional<Journal> journal;
+  if (!options.journal.empty()) journal.emplace(options.journal);
+  Journal* const used = journal ? &*journal : nullptr;
+  LineSource source;
+  int dimension = KnownDimension(options, used);
+  if (dimension == 0) dimension = source.FindDimension();
+  dimension == 2 ? RunOnline<SE2>(options, used, source) : RunOnline<SE3>(options, used, source);
+}
+
+std::string FindPositiveDefect(const std::string& text) {
+  double value = 0;
+  if (CLI::detail::lexical_cast(text, value) && value > 0 && std::isfinite(value)) return "";
+  return text + " is not a positive number";
+}
+
+void AddThresholdOptions(CLI::App& command, OnlineCommandOptions& options) {
+  command
+      .add_option("--thresholds", options.thresholds,
+                  "Range, gains and link covariance as compact --auto-thresholds wrote them; the options below "
+                  "overrule it")
+      ->type_name("FILE");
+  command.add_option("--range", options.range, "Sensor range in metres and radians")
+      ->expected(3, 4)
+      ->check(FindPositiveDefect)
+      ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
+  command.add_option("--probability", options.probability, "Least probability of being in range, per dimension [0.1]")
+      ->check(CLI::Range(0.0, 0.999999).description(""))
+      ->type_name("S");
+  command
+      .add_option("--min-pose-gain", options.min_pose_gain,
+                  "A pose is kept above this gain (nats), or if a loop closes at it [3]")
+      ->check(CLI::NonNegativeNumber.description(""))
+      ->type_name("G");
+  command.add_option("--min-loop-gain", options.min_loop_gain, "A link is kept above this gain (nats) [1]")
+      ->check(CLI::NonNegativeNumber.description(""))
+      ->type_name("G");
+  command
+      .add_option("--link-deviation", options.link_deviation,
+                  "Standard deviations expected of a loop, per direction [0.1 m, 0.1 rad]")
+      ->expected(2)
+      ->check(FindPositiveDefect)
+      ->option_text("METRES RADIANS");
+  command
+      .add_option("--innovation-quantile", options.innovation_quantile,
+                  "A loop that disagrees with the map more than this share of correct ones is refused; 1: none is")
+      ->check(CLI::Range(0.000001, 1.0).description(""))
+      ->type_name("Q")
+      ->capture_default_str();
+}
+
+}  // namespace
+
+void AddOnlineCommand(CLI::App& app) {
+  auto options = std::make_shared<OnlineCommandOptions>();
+  CLI::App* command = app.add_subcommand(
+      "online", "Compact pose SLAM of measurements as they come: g2o lines on standard input, JSON decisions out");
+  AddChoice(*command, "--dimension", options->dimension, {{"2", 2}, {"3", 3}},
+            "2D or 3D; by default as the range, or as the first measurement");
+  AddChoice(*command, "--strategy", options->strategy,
+            {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}},
+            "All poses all links, all poses few links, or few poses few links");
+  AddThresholdOptions(*command, *options);
+  AddReadOptions(*command, options->read);
+  command
+      ->add_option("--journal", options->journal,
+                   "Every line taken is on disk before its decision is written; if the file exists, its lines are "
+                   "taken again first")
+      ->type_name("FILE");
+  command
+      ->add_option("--output", options->directory,
+                   "Folder for compact.g2o, trajectory.tum and decisions.csv at the end of the input")
+      ->type_name("DIR");
+  AddChoice(*command, "--recover", options->recovery,
+            {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
+            "How dropped poses come back, see compact");
+  command->add_flag("--strict", options->strict, "Stop at the first bad line");
+  command->add_flag("--quiet", options->quiet, "Write errors only, no decisions");
+  command->footer(
+      "A blank line or FLUSH closes the pose at hand, REMOVE ID takes a link out.\n"
+      "Example: terse online --range 10 10 1.5 --journal run.journal < measurements.g2o");
+  command->callback([options] { Online(*options); });
+}
+
+}  // namespace terse

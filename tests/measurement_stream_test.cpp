@@ -1,0 +1,289 @@
+// A stream of measurements against the same graph replayed, and what only a stream has: late links, late priors,
+// loops to dropped poses.
+
+#include "terse/compact/measurement_stream.h"
+
+#include <gtest/gtest.h>
+
+#include "terse/core/arrival.h"
+#include "testing_compact.h"
+
+namespace terse {
+namespace {
+
+using namespace testing;
+
+template <class Pose>
+std::vector<Factor<Pose>> InOrderOfArrival(const PoseGraph<Pose>& graph) {
+  std::vector<Factor<Pose>> out;
+  for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
+    for (const int k : step.factors) out.push_back(graph.Factors()[static_cast<std::size_t>(k)].factor);
+  }
+  return out;
+}
+
+template <class Pose>
+struct StreamRun {
+  explicit StreamRun(const CompactOptions<Pose>& options) : slam(options), stream(slam) {}
+  void Take(const std::vector<StreamOutcome>& outcomes) {
+    for (const StreamOutcome& outcome : outcomes) {
+      if (const auto* d = std::get_if<Decision>(&outcome)) decisions.push_back(*d);
+      if (const auto* l = std::get_if<LateLink>(&outcome)) links.push_back(*l);
+      if (const auto* p = std::get_if<LatePrior>(&outcome)) priors.push_back(*p);
+    }
+  }
+  void Add(const Factor<Pose>& factor) { Take(stream.Add(factor)); }
+  void AddAll(const PoseGraph<Pose>& graph) {
+    stream.SetValue(graph.Poses()[0].id, *graph.Poses()[0].T_world_body);
+    for (const auto& factor : InOrderOfArrival(graph)) Add(factor);
+    Take(stream.Flush());
+  }
+  CompactPoseSlam<Pose> slam;
+  MeasurementStream<Pose> stream;
+  std::vector<Decision> decisions;
+  std::vector<LateLink> links;
+  std::vector<LatePrior> priors;
+};
+
+void ExpectEqual(const Decision& a, const Decision& b) {
+  EXPECT_EQ(a.id, b.id);
+  EXPECT_EQ(a.verdict, b.verdict) << a.id.value;
+  EXPECT_EQ(a.pose_gain, b.pose_gain) << a.id.value;
+  EXPECT_EQ(a.links_accepted, b.links_accepted) << a.id.value;
+  ASSERT_EQ(a.candidates.size(), b.candidates.size()) << a.id.value;
+  for (std::size_t k = 0; k < a.candidates.size(); ++k) {
+    EXPECT_EQ(a.candidates[k].id, b.candidates[k].id);
+    EXPECT_EQ(a.candidates[k].gain, b.candidates[k].gain);
+    EXPECT_EQ(a.candidates[k].measured_gain, b.candidates[k].measured_gain);
+    EXPECT_EQ(a.candidates[k].factor, b.candidates[k].factor);
+  }
+}
+
+template <class Pose>
+void ExpectSameTrajectory(const CompactPoseSlam<Pose>& a, const CompactPoseSlam<Pose>& b) {
+  const auto left = a.Trajectory(), right = b.Trajectory();
+  ASSERT_EQ(left.size(), right.size());
+  for (std::size_t k = 0; k < left.size(); ++k) {
+    EXPECT_EQ(left[k].id, right[k].id);
+    EXPECT_EQ(left[k].kept, right[k].kept);
+    EXPECT_EQ(left[k].T_world_body.Log(), right[k].T_world_body.Log()) << left[k].id.value;
+  }
+}
+
+// Without dropped poses the two see the same loops.
+template <class Pose>
+void ExpectSameAsReplay(Scene scene, Strategy strategy) {
+  const auto graph = MakeScene<Pose>(scene, 120).graph;
+  GraphReplay<Pose> replay(graph);
+  CompactOptions<Pose> options = OptionsFor(replay, strategy);
+  options.min_pose_gain = 0;
+  const CompactRun<Pose> replayed = RunCompact(replay, options);
+  StreamRun<Pose> streamed(options);
+  streamed.AddAll(graph);
+  ASSERT_EQ(streamed.decisions.size(), replayed.decisions.size());
+  for (std::size_t k = 0; k < replayed.decisions.size(); ++k) {
+    ExpectEqual(streamed.decisions[k], replayed.decisions[k]);
+  }
+  EXPECT_GT(streamed.slam.LinksKept(), 0);
+  EXPECT_TRUE(streamed.links.empty());
+  ExpectSameTrajectory(streamed.slam, *replayed.slam);
+}
+
+TEST(MeasurementStream, DecidesAsTheReplayOfTheGraph) {
+  for (const Strategy strategy : {Strategy::kApal, Strategy::kApfl, Strategy::kFpfl}) {
+    ExpectSameAsReplay<SE2>(Scene::kManhattan, strategy);
+    ExpectSameAsReplay<SE3>(Scene::kSphere, strategy);
+  }
+}
+
+template <class Pose>
+CompactOptions<Pose> DroppingOptions(const PoseGraph<Pose>& graph) {
+  CompactOptions<Pose> options = OptionsFor(GraphReplay<Pose>(graph), Strategy::kFpfl);
+  options.min_loop_gain = 0.5;
+  options.min_pose_gain = 4;
+  return options;
+}
+
+// With exact measurements every link that is carried wrongly would bend the map or be refused.
+template <class Pose>
+void ExpectLoopsToDroppedPoses(Scene kind) {
+  const auto scene = MakeScene<Pose>(kind, 300);
+  const auto graph = WithoutNoise(scene);
+  const CompactOptions<Pose> options = DroppingOptions(graph);
+  StreamRun<Pose> streamed(options);
+  streamed.AddAll(graph);
+  GraphReplay<Pose> replay(graph);
+  const CompactRun<Pose> replayed = RunCompact(replay, options);
+  const int dropped = streamed.slam.PosesSeen() - static_cast<int>(streamed.slam.Solver().Graph().Poses().size());
+  EXPECT_GT(dropped, 10);
+  EXPECT_GT(streamed.slam.LinksKept(), replayed.slam->LinksKept());
+  for (const Decision& d : streamed.decisions) EXPECT_EQ(d.links_refused, 0) << d.id.value;
+  for (const auto& pose : streamed.slam.Trajectory()) {
+    const Pose truth = scene.truth[static_cast<std::size_t>(scene.graph.IndexOf(pose.id))];
+    EXPECT_LT(Distance(pose.T_world_body, truth), 1e-6) << pose.id.value;
+  }
+}
+
+TEST(MeasurementStream, OffersLoopsToDroppedPosesAtTheKeptOnes) {
+  ExpectLoopsToDroppedPoses<SE2>(Scene::kManhattan);
+  ExpectLoopsToDroppedPoses<SE3>(Scene::kSphere);
+}
+
+RelativePoseFactor<SE2> Edge(std::int64_t from, std::int64_t to, const SE2& T_from_to, double information = 400) {
+  return {{from}, {to}, T_from_to, information * Matrix<3, 3>::Identity()};
+}
+SE2 Ahead(double metres) { return SE2(Vector<2>(metres, 0), 0); }
+PosePriorFactor<SE2> Prior(std::int64_t id, const SE2& T_world_body) {
+  return {{id}, T_world_body, 400 * Matrix<3, 3>::Identity()};
+}
+
+CompactOptions<SE2> LineOptions(Strategy strategy = Strategy::kFpfl) {
+  CompactOptions<SE2> options;
+  options.strategy = strategy;
+  options.range = {3, 3, 1};
+  options.min_loop_gain = 0.1;
+  options.min_pose_gain = 1.5;
+  options.link_covariance = 0.0025 * Matrix<3, 3>::Identity();
+  return options;
+}
+
+// Poses 0, 1, 2, ... half a metre apart; every second one or so is dropped.
+StreamRun<SE2> Line(int poses, Strategy strategy = Strategy::kFpfl) {
+  StreamRun<SE2> run(LineOptions(strategy));
+  for (int k = 1; k < poses; ++k) run.Add(Edge(k - 1, k, Ahead(0.5)));
+  return run;
+}
+
+TEST(MeasurementStream, ClosesAPoseWhenTheNextOneOpens) {
+  StreamRun<SE2> run(LineOptions());
+  EXPECT_TRUE(run.stream.Flush().empty());
+  run.Add(Edge(7, 3, Ahead(1)));
+  ASSERT_EQ(run.decisions.size(), 1u);
+  EXPECT_EQ(run.decisions[0].id, PoseId{7});
+  EXPECT_EQ(run.decisions[0].verdict, PoseVerdict::kFirst);
+  EXPECT_EQ(run.stream.Open(), PoseId{3});
+  run.Add(Edge(9, 3, Ahead(1)));  // backwards
+  ASSERT_EQ(run.decisions.size(), 2u);
+  EXPECT_EQ(run.stream.Open(), PoseId{9});
+  run.Take(run.stream.Flush());
+  EXPECT_EQ(run.decisions.size(), 3u);
+  EXPECT_FALSE(run.stream.Open());
+  EXPECT_LT(Distance(run.slam.Estimate({9}), SE2()), 1e-9);
+  run.Add(Edge(3, 4, Ahead(1)));  // goes on from an older pose
+  run.Take(run.stream.Flush());
+  EXPECT_LT(Distance(run.slam.Estimate({4}), Ahead(2)), 1e-9);
+}
+
+TEST(MeasurementStream, SeveralLoopsOnOneKeptPoseFollowAsLateLinks) {
+  StreamRun<SE2> run(LineOptions(Strategy::kApfl));
+  for (int k = 1; k < 8; ++k) run.Add(Edge(k - 1, k, Ahead(0.5), 40));
+  run.Add(Edge(2, 7, SE2(Vector<2>(90, 0), 1)));  // wrong
+  run.Add(Edge(7, 2, Ahead(-2.5)));
+  run.Take(run.stream.Flush());
+  EXPECT_EQ(run.decisions.back().links_refused, 1);
+  ASSERT_EQ(run.links.size(), 1u);
+  EXPECT_EQ(run.links[0].from, PoseId{7});
+  EXPECT_TRUE(run.links[0].decision.accepted);
+  EXPECT_EQ(run.slam.LinksKept(), 1);
+}
+
+TEST(MeasurementStream, LateLinksAndTheirRemoval) {
+  StreamRun<SE2> run = Line(12);
+  run.Take(run.stream.Flush());
+  PoseId first{0}, last{11};
+  while (run.slam.KeptBase(first) == first) ++first.value;
+  while (run.slam.KeptBase(last) == last) --last.value;
+  run.Add(Edge(run.slam.KeptBase(first).value, first.value, Ahead(0.5)));
+  ASSERT_EQ(run.links.size(), 1u);
+  EXPECT_FALSE(run.links[0].decision.accepted);  // both ends hang on one pose
+  run.links.clear();
+  const double length = 0.5 * static_cast<double>(last.value - first.value);
+  const SE2 before = run.slam.Estimate(last);
+  run.Add(Edge(first.value, last.value, Ahead(length + 0.05), 4000));
+  ASSERT_EQ(run.links.size(), 1u);
+  const LateLink link = run.links[0];
+  EXPECT_EQ(link.from, first);
+  EXPECT_EQ(link.decision.from, run.slam.KeptBase(first));
+  ASSERT_TRUE(link.decision.accepted);
+  EXPECT_GT(Distance(run.slam.Estimate(last), before), 0.01);
+  run.slam.RemoveLink(*link.decision.factor);
+  EXPECT_LT(Distance(run.slam.Estimate(last), before), 1e-6);
+  EXPECT_EQ(run.slam.LinksKept(), 0);
+}
+
+TEST(MeasurementStream, PriorsAndFixedPoses) {
+  const SE2 shift(Vector<2>(10, -3), 0.4);
+  StreamRun<SE2> run(LineOptions());
+  run.Add(Prior(0, shift));  // opens the first pose
+  EXPECT_EQ(run.stream.Open(), PoseId{0});
+  run.Add(Edge(0, 1, Ahead(0.5)));
+  run.Add(Prior(1, shift * Ahead(0.5)));
+  run.stream.SetValue({2}, shift * Ahead(1));
+  run.stream.Fix({{2}});
+  run.Add(Edge(1, 2, Ahead(0.5)));
+  run.Add(Edge(2, 3, Ahead(0.5)));
+  run.Take(run.stream.Flush());
+  ASSERT_EQ(run.decisions.size(), 4u);
+  EXPECT_EQ(run.decisions[1].verdict, PoseVerdict::kPrior);
+  EXPECT_EQ(run.decisions[2].verdict, PoseVerdict::kPrior);
+  EXPECT_LT(Distance(run.slam.Estimate({3}), shift * Ahead(1.5)), 1e-6);
+}
+
+// The only absolute measurement, on a kept or a dropped pose: the whole map goes there.
+TEST(MeasurementStream, LatePriors) {
+  const SE2 shift(Vector<2>(10, -3), 0.4);
+  for (const bool on_dropped : {false, true}) {
+    StreamRun<SE2> run = Line(8);
+    run.Take(run.stream.Flush());
+    PoseId id{1};
+    while ((run.slam.KeptBase(id) != id) != on_dropped) ++id.value;
+    run.Add(Prior(id.value, shift * Ahead(0.5 * static_cast<double>(id.value))));
+    ASSERT_EQ(run.priors.size(), 1u);
+    EXPECT_EQ(run.priors[0].kept, run.slam.KeptBase(id));
+    run.slam.Finish();
+    for (int k = 0; k < 8; ++k) EXPECT_LT(Distance(run.slam.Estimate({k}), shift * Ahead(0.5 * k)), 1e-5) << k;
+    if (on_dropped) {
+      EXPECT_THROW(run.Add(PositionPriorFactor<SE2>{id, {0, 0}, Matrix<2, 2>::Identity()}), std::invalid_argument);
+    }
+    run.Add(Edge(7, 8, Ahead(0.5)));  // the search goes on
+    run.Take(run.stream.Flush());
+    EXPECT_LT(Distance(run.slam.Estimate({8}), shift * Ahead(4)), 1e-5);
+  }
+}
+
+TEST(MeasurementStream, ErrorsLeaveItAsItWas) {
+  const auto graph = MakeScene<SE2>(Scene::kManhattan, 60).graph;
+  const CompactOptions<SE2> options = DroppingOptions(graph);
+  StreamRun<SE2> plain(options), disturbed(options);
+  plain.AddAll(graph);
+  const PoseId first = graph.Poses()[0].id;
+  disturbed.stream.SetValue(first, *graph.Poses()[0].T_world_body);
+  for (const auto& factor : InOrderOfArrival(graph)) {
+    disturbed.Add(factor);
+    const auto refuse = [&](const Factor<SE2>& bad) { EXPECT_THROW(disturbed.Add(bad), std::invalid_argument); };
+    const std::int64_t open = disturbed.stream.Open()->value;
+    refuse(Edge(100000, 100001, Ahead(1)));
+    refuse(Edge(open, open, Ahead(1)));
+    refuse(Edge(open, 100000, Ahead(NAN)));
+    refuse(Edge(open, 100000, Ahead(1), -1));
+    refuse(Prior(100000, SE2()));
+    refuse(Prior(open, Ahead(INFINITY)));
+    EXPECT_THROW(disturbed.stream.Fix({first}), std::invalid_argument);
+    EXPECT_THROW(disturbed.stream.Fix({{100002}, {open}}), std::invalid_argument);
+    EXPECT_THROW(disturbed.stream.SetValue(first, SE2()), std::invalid_argument);
+    EXPECT_THROW(disturbed.stream.SetValue({open}, Ahead(NAN)), std::invalid_argument);
+    EXPECT_EQ(disturbed.stream.Open()->value, open);
+  }
+  disturbed.Take(disturbed.stream.Flush());
+  ASSERT_EQ(plain.decisions.size(), disturbed.decisions.size());
+  for (std::size_t k = 0; k < plain.decisions.size(); ++k) ExpectEqual(plain.decisions[k], disturbed.decisions[k]);
+  ExpectSameTrajectory(plain.slam, disturbed.slam);
+}
+
+TEST(MeasurementStream, RefusesRandomDraws) {
+  CompactPoseSlam<SE2> slam(LineOptions(Strategy::kRfpfl));
+  EXPECT_THROW(MeasurementStream<SE2>{slam}, std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace terse

@@ -1,0 +1,377 @@
+// terse online: answers line by line, journals that survive kill -9.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <map>
+#include <random>
+
+#include "testing_command.h"
+
+namespace {
+
+using nlohmann::json;
+using terse::testing::CsvRows;
+using terse::testing::Outcome;
+
+const std::string kOptions = "online --range 10 10 1.5 --min-loop-gain 0.5 --min-pose-gain 2 ";
+
+// The command with pipes to its standard input and output.
+class Child {
+ public:
+  Child(const std::string& folder, const std::string& arguments) {
+    int in[2], out[2];
+    if (pipe(in) != 0 || pipe(out) != 0) throw std::runtime_error("no pipe");
+    process_ = fork();
+    if (process_ == 0) {
+      dup2(in[0], STDIN_FILENO);
+      dup2(out[1], STDOUT_FILENO);
+      for (const int descriptor : {in[0], in[1], out[0], out[1]}) close(descriptor);
+      const std::string line = "cd '" + folder + "' && exec '" TERSE_COMMAND "' " + arguments + " 2> .err";
+      execl("/bin/sh", "sh", "-c", line.c_str(), nullptr);
+      _exit(127);
+    }
+    close(in[0]);
+    close(out[1]);
+    input_ = in[1];
+    output_ = fdopen(out[0], "r");
+  }
+  ~Child() {
+    if (process_ > 0) Kill();
+    std::fclose(output_);
+  }
+  Child(const Child&) = delete;
+  Child& operator=(const Child&) = delete;
+
+  void Send(const std::string& text) {
+    for (std::size_t done = 0; done < text.size();) {
+      const ssize_t count = write(input_, text.data() + done, text.size() - done);
+      if (count <= 0) return;
+      done += static_cast<std::size_t>(count);
+    }
+  }
+  // Waits for one line; null at the end.
+  json Receive() {
+    std::string line;
+    for (int c = std::fgetc(output_); c != EOF; c = std::fgetc(output_)) {
+      if (c == '\n') return json::parse(line);
+      line += static_cast<char>(c);
+    }
+    return nullptr;
+  }
+  std::vector<json> ReceiveAll() {
+    std::vector<json> out;
+    for (json line = Receive(); !line.is_null(); line = Receive()) out.push_back(line);
+    return out;
+  }
+  void Kill() {
+    kill(process_, SIGKILL);
+    Wait();
+  }
+  // Ends its input and receives what is left.
+  std::vector<json> Finish() {
+    close(input_);
+    input_ = -1;
+    const std::vector<json> rest = ReceiveAll();
+    EXPECT_EQ(Wait(), 0);
+    return rest;
+  }
+
+ private:
+  int Wait() {
+    int status = 0;
+    waitpid(process_, &status, 0);
+    process_ = -1;
+    if (input_ >= 0) close(input_);
+    input_ = -1;
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  }
+  pid_t process_ = -1;
+  int input_ = -1;
+  FILE* output_ = nullptr;
+};
+
+std::vector<json> ParseLines(const std::string& text) {
+  std::vector<json> out;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) out.push_back(json::parse(line));
+  return out;
+}
+
+std::string Join(const std::vector<std::string>& lines, std::size_t first, std::size_t last) {
+  std::string out;
+  for (std::size_t k = first; k < std::min(last, lines.size()); ++k) out += lines[k] + '\n';
+  return out;
+}
+
+json WithoutSeconds(json object) {
+  object.erase("seconds");
+  return object;
+}
+
+class OnlineCommand : public terse::testing::CommandTest {
+ protected:
+  void SetUp() override {
+    CommandTest::SetUp();
+    signal(SIGPIPE, SIG_IGN);
+  }
+
+  // The edges of a generated scene as a robot measures them: a pose's odometry, then its loops.
+  std::vector<std::string> Measurements(int poses, const std::string& scene = "manhattan") const {
+    Succeed("generate " + scene + " --poses " + std::to_string(poses) + " --output scene.g2o");
+    std::map<std::pair<long, bool>, std::string> in_order;  // {pose, is a loop}
+    std::istringstream file(Read("scene.g2o"));
+    for (std::string line; std::getline(file, line);) {
+      std::istringstream fields(line);
+      std::string tag;
+      long from = 0, to = 0;
+      fields >> tag >> from >> to;
+      if (tag.rfind("EDGE_SE", 0) == 0) in_order[{std::max(from, to), std::abs(from - to) > 1}] += line + '\n';
+    }
+    std::vector<std::string> lines;
+    for (const auto& [key, text] : in_order) {
+      std::istringstream of_pose(text);
+      for (std::string line; std::getline(of_pose, line);) lines.push_back(line);
+    }
+    return lines;
+  }
+  std::vector<json> Answers(const std::string& input, const std::string& arguments) const {
+    Write("input", input);
+    return ParseLines(Succeed(arguments + " < input").out);
+  }
+  void ExpectSameResults(const std::string& a, const std::string& b) const {
+    for (const char* name : {"/compact.g2o", "/trajectory.tum", "/decisions.csv"}) {
+      EXPECT_FALSE(Read(a + name).empty()) << a << name;
+      EXPECT_EQ(Read(a + name), Read(b + name)) << name;
+    }
+  }
+};
+
+TEST_F(OnlineCommand, AnswersEveryPoseWithOneLine) {
+  const auto lines = Measurements(80);
+  const auto answers = Answers(Join(lines, 0, lines.size()), kOptions + "--output out");
+  std::map<std::string, std::vector<std::string>> rows;
+  for (const auto& row : CsvRows(Read("out/decisions.csv"))) rows[row[0]] = row;
+  EXPECT_EQ(rows.size(), 80u);
+  int poses = 0, accepted = 0;
+  for (const json& answer : answers) {
+    EXPECT_GE(answer["seconds"].get<double>(), 0);
+    if (!answer.contains("pose")) continue;  // a late link
+    ++poses;
+    const auto& row = rows.at(answer["pose"].dump());
+    EXPECT_EQ(answer["kept"].get<bool>(), row[1] == "1");
+    EXPECT_EQ(answer["verdict"], row[2]);
+    EXPECT_EQ(answer["estimate"].size(), 3u);
+    for (const json& link : answer["links"]) {
+      EXPECT_EQ(link.contains("factor"), link["accepted"].get<bool>());
+      accepted += link["accepted"].get<bool>();
+    }
+  }
+  EXPECT_EQ(poses, 80);
+  EXPECT_GT(accepted, 0);
+  EXPECT_TRUE(Answers(Join(lines, 0, lines.size()), kOptions + "--quiet").empty());
+}
+
+TEST_F(OnlineCommand, AnswersAtOnceAndTakesLinksOut) {
+  Child child(folder_.string(), "online --range 10 10 1.5 --strategy apfl --min-loop-gain 0");
+  child.Send("VERTEX_SE2 0 5 0 0\nEDGE_SE2 0 1 1 0 0 100 0 0 100 0 100\n");
+  const json first = child.Receive();
+  EXPECT_EQ(first["verdict"], "first");
+  EXPECT_EQ(first["estimate"], json({5.0, 0.0, 0.0}));
+  child.Send("# a comment\nFLUSH\n\n");
+  EXPECT_EQ(child.Receive()["pose"], 1);
+  child.Send("EDGE_SE2 1 2 1 0 0 100 0 0 100 0 100\nEDGE_SE2 0 2 2 0 0 100 0 0 100 0 100\nFLUSH\n");
+  const json closed = child.Receive();
+  EXPECT_EQ(closed["verdict"], "loop_closed");
+  ASSERT_EQ(closed["links"].size(), 1u);
+  EXPECT_EQ(closed["links"][0]["to"], 0);
+  const std::string factor = closed["links"][0]["factor"].dump();
+  child.Send("EDGE_SE2 2 0 -2 0 0 100 0 0 100 0 100\n");
+  const json late = child.Receive();
+  EXPECT_EQ(late["link"], json({2, 0}));
+  EXPECT_TRUE(late["accepted"].get<bool>());
+  child.Send("REMOVE " + factor + "\nREMOVE " + factor + "\n");
+  EXPECT_EQ(child.Receive()["error"], "stdin:11: factor " + factor + " is not a link of the map");
+  child.Send("EDGE_PRIOR_SE2 1 16 0 0 100 0 0 100 0 100\n");
+  EXPECT_EQ(child.Receive()["prior"], 1);
+  child.Send("EDGE_SE2 2 3 1 0 0 100 0 0 100 0 100\n");
+  const std::vector<json> rest = child.Finish();
+  ASSERT_EQ(rest.size(), 1u);
+  EXPECT_NEAR(rest[0]["estimate"][0].get<double>(), 18, 1e-3);
+}
+
+TEST_F(OnlineCommand, BadLinesAreAnsweredAndChangeNothing) {
+  const auto lines = Measurements(40);
+  const std::string good = Join(lines, 0, lines.size());
+  std::string bad = "hello\n";
+  for (const std::string& line : lines) bad += line + "\nEDGE_SE2 1 nonsense\nEDGE_SE2 900 901 1 0 0 1 0 0 1 0 1\n";
+  const auto expected = Answers(good, kOptions);
+  std::vector<json> decisions, errors;
+  for (const json& answer : Answers(bad, kOptions)) (answer.contains("error") ? errors : decisions).push_back(answer);
+  EXPECT_EQ(errors.size(), 1 + 2 * lines.size());
+  EXPECT_EQ(errors[0]["error"], "stdin:1: expected a tag of the g2o format, the line starts with \"hello\"");
+  EXPECT_NE(errors[1]["error"].get<std::string>().find("stdin:3: EDGE_SE2 takes 11 fields"), std::string::npos);
+  EXPECT_EQ(errors[2]["error"], "stdin:4: edge 900 -> 901: neither pose is known");
+  ASSERT_EQ(decisions.size(), expected.size());
+  for (std::size_t k = 0; k < expected.size(); ++k)
+    EXPECT_EQ(WithoutSeconds(decisions[k]), WithoutSeconds(expected[k]));
+
+  const auto only_error = [&](const std::string& input) { return Answers(input, kOptions).back()["error"]; };
+  EXPECT_EQ(only_error("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 17"), "stdin:1: the input ends within this line");
+  EXPECT_NE(only_error("EDGE_SE3:QUAT 0 1 1\n").get<std::string>().find("in a run in 2D"), std::string::npos);
+  EXPECT_NE(only_error("VERTEX2 0 1 1 0\n").get<std::string>().find("VERTEX2"), std::string::npos);
+  EXPECT_NE(only_error("EDGE_SE2 0 1 \xff 0 0 1 0 0 1 0 1\n").get<std::string>().find("not a number"),
+            std::string::npos);
+
+  Write("bad", bad);
+  const Outcome strict = Run(kOptions + "--strict < bad");
+  EXPECT_EQ(strict.exit_code, 1);
+  EXPECT_EQ(ParseLines(strict.out).size(), 1u);
+  EXPECT_EQ(strict.err.rfind("terse: error: stdin:1: ", 0), 0u) << strict.err;
+}
+
+TEST_F(OnlineCommand, TakesTheDimensionFromTheFirstMeasurement) {
+  Write("input", "FIX 0\nEDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 100 0 0 0 0 0 100 0 0 0 0 100 0 0 0 100 0 0 100 0 100\n");
+  const auto answers = ParseLines(Succeed("online --strategy apal < input").out);
+  ASSERT_EQ(answers.size(), 2u);
+  EXPECT_EQ(answers[1]["estimate"].size(), 7u);
+  EXPECT_EQ(answers[1]["verdict"], "all_kept");
+  Write("empty", "");
+  EXPECT_EQ(Succeed("online --strategy apal < empty").out, "");
+  ExpectFailure("online < input", 2, "--range");
+  ExpectFailure("online --range 1 1 1 --dimension 3 < input", 2, "X Y Z ANGLE");
+}
+
+TEST_F(OnlineCommand, ReadsThresholds) {
+  json thresholds = {{"dimension", 2},     {"range", {10, 10, 1.5}},
+                     {"probability", 0.1}, {"min_loop_gain", 0.5},
+                     {"min_pose_gain", 2}, {"link_covariance", {{0.01, 0, 0}, {0, 0.01, 0}, {0, 0, 0.01}}}};
+  Write("good.json", thresholds.dump());
+  const auto lines = Measurements(40);
+  const std::string input = Join(lines, 0, lines.size());
+  const auto expected = Answers(input, kOptions), actual = Answers(input, "online --thresholds good.json");
+  ASSERT_EQ(actual.size(), expected.size());
+  for (std::size_t k = 0; k < expected.size(); ++k) EXPECT_EQ(WithoutSeconds(actual[k]), WithoutSeconds(expected[k]));
+  const auto refuse = [&](const char* key, const json& value, const std::string& cause) {
+    json wrong = thresholds;
+    wrong[key] = value;
+    if (value.is_null()) wrong.erase(key);
+    Write("wrong.json", wrong.dump());
+    ExpectFailure("online --thresholds wrong.json < input", 1, "wrong.json: " + cause);
+  };
+  refuse("dimension", 4, "key \"dimension\"");
+  refuse("range", {1, 2}, "key \"range\"");
+  refuse("range", {1, 2, -1}, "key \"range\"");
+  refuse("probability", 1, "key \"probability\"");
+  refuse("min_loop_gain", nullptr, "key \"min_loop_gain\" is missing");
+  refuse("min_pose_gain", "much", "key \"min_pose_gain\"");
+  refuse("link_covariance", {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}}, "key \"link_covariance\"");
+  Write("wrong.json", "[1, 2");
+  ExpectFailure("online --thresholds wrong.json < input", 1, "wrong.json: expected thresholds");
+  ExpectFailure("online --thresholds none.json < input", 1, "none.json: the file does not exist");
+  ExpectFailure("online --thresholds good.json --dimension 3 < input", 1, "good.json: thresholds for 2D");
+}
+
+// Killed again and again, it ends as if it had never been.
+TEST_F(OnlineCommand, SurvivesKills) {
+  const auto lines = Measurements(150);
+  std::map<std::string, json> expected;
+  for (const json& answer : Answers(Join(lines, 0, lines.size()), kOptions + "--output whole")) {
+    if (answer.contains("pose")) expected[answer["pose"].dump()] = WithoutSeconds(answer);
+  }
+  std::mt19937 random(7);
+  const std::string arguments = kOptions + "--journal journal";
+  std::size_t next = 0;
+  int seen = 0;
+  for (int round = 0; round < 40; ++round) {
+    const bool resumes = Exists("journal");
+    Child child(folder_.string(), arguments);
+    if (resumes) {
+      const json resumed = child.Receive();
+      ASSERT_TRUE(resumed["resumed"].get<bool>());
+      EXPECT_GE(resumed["poses"].get<int>(), seen);
+      EXPECT_GE(resumed["lines"].get<std::size_t>(), next);
+      next = resumed["lines"];
+    }
+    child.Send(Join(lines, next, next + 1 + random() % 20));
+    std::this_thread::sleep_for(std::chrono::microseconds(random() % 8000));
+    child.Kill();
+    for (const json& answer : child.ReceiveAll()) {
+      if (!answer.contains("pose")) continue;
+      EXPECT_EQ(WithoutSeconds(answer), expected.at(answer["pose"].dump()));
+      seen = std::max(seen, answer["pose"].get<int>() + 1);
+    }
+  }
+  Child child(folder_.string(), arguments + " --output pieces");
+  const json resumed = child.Receive();
+  child.Send(Join(lines, resumed["lines"], lines.size()));
+  EXPECT_FALSE(child.Finish().empty());
+  ExpectSameResults("pieces", "whole");
+}
+
+TEST_F(OnlineCommand, CutsATornTailAtAnyByte) {
+  const auto lines = Measurements(20);
+  const std::size_t last = lines.size() - 1;
+  Answers(Join(lines, 0, lines.size()), kOptions + "--journal journal --output whole");
+  const std::string flush = "5 ", whole = Read("journal");
+  const std::size_t end = whole.rfind('\n', whole.size() - 2) + 1;  // without the closing FLUSH
+  const std::size_t start = whole.rfind('\n', end - 2) + 1;         // of the last measurement
+  EXPECT_EQ(whole.compare(end, 2, flush), 0);
+  Write("input", lines[last] + '\n');
+  for (std::size_t cut = start; cut < end; ++cut) {
+    Write("journal", whole.substr(0, cut));
+    const Outcome outcome = Succeed(kOptions + "--journal journal --output pieces < input");
+    EXPECT_EQ(ParseLines(outcome.out)[0]["lines"], last) << cut;
+    EXPECT_EQ(outcome.err.empty(), cut == start) << outcome.err;
+    EXPECT_EQ(Read("journal"), whole) << cut;
+    if ((cut - start) % 16 == 0) ExpectSameResults("pieces", "whole");
+  }
+}
+
+TEST_F(OnlineCommand, RefusesOtherFilesAndOptions) {
+  const auto lines = Measurements(20);
+  Write("input", Join(lines, 0, lines.size()));
+  const std::string use = kOptions + "--journal journal < input";
+  const auto refuse = [&](const std::string& content, const std::string& cause) {
+    Write("journal", content);
+    ExpectFailure(use, 1, "journal: " + cause);
+    EXPECT_EQ(Read("journal"), content);
+  };
+  refuse("my notes\n", "a file of another kind");
+  refuse("t", "a file of another kind");
+  refuse("terse online journal 1\n", "the journal is damaged");
+  Write("journal", "");  // holds nothing to lose
+  Succeed(use);
+  const std::string whole = Read("journal");
+  for (const std::size_t at : {whole.size() / 2, whole.size() / 3}) {
+    std::string damaged = whole;
+    damaged[at] = damaged[at] == '7' ? '8' : '7';
+    refuse(damaged, "the journal is damaged at byte");
+  }
+  Write("journal", whole);
+  ExpectFailure(use + " --probability 0.2", 1, "probability is 0.1 there, 0.2 now");
+  ExpectFailure("online --range 10 10 10 1.5 --journal journal < input", 1, "dimension is 2 there, 3 now");
+  ExpectFailure(kOptions + "--journal . < input", 1, "regular file");
+  EXPECT_EQ(Read("journal"), whole);
+  Child first(folder_.string(), kOptions + "--journal journal");
+  EXPECT_TRUE(first.Receive()["resumed"].get<bool>());
+  ExpectFailure(use, 1, "another run is using this journal");
+}
+
+// What the solver could not take is part of the story.
+TEST_F(OnlineCommand, ReplaysWhatFailed) {
+  const std::string edge = " 1 0 0 100 0 0 100 0 100\n";
+  const std::string huge = "EDGE_SE2 1 2 1e300 1e300 0 100 0 0 100 0 100\n";
+  Write("input", "EDGE_SE2 0 1" + edge + huge + "EDGE_SE2 0 2 5 0 0 100 0 0 100 0 100\nFLUSH\nEDGE_SE2 1 3" + edge);
+  const auto answers = ParseLines(Succeed(kOptions + "--journal journal --output whole < input").out);
+  ASSERT_EQ(answers.size(), 4u);
+  EXPECT_EQ(answers[2]["error"], "stdin:4: the odometry of pose 2 leads beyond all numbers");
+  const auto resumed = ParseLines(Succeed(kOptions + "--journal journal --output pieces < /dev/null").out);
+  ASSERT_EQ(resumed.size(), 1u);
+  EXPECT_EQ(resumed[0]["last_pose"], 3);
+  EXPECT_TRUE(resumed[0]["open_pose"].is_null());
+  ExpectSameResults("pieces", "whole");
+}
+
+}  // namespace
