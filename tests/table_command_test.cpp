@@ -136,6 +136,7 @@ TEST_F(CompactTable, AgreesWithItselfOnTheEllipse) {
   EXPECT_EQ(row["paper"]["poses_percent"], 23.5);
   ASSERT_EQ(json["files"].size(), 4u);
   for (const auto& file : json["files"]) EXPECT_TRUE(Exists(file)) << file;
+  EXPECT_EQ(JsonFile("figures/tables.json"), json);
 }
 
 // The paper's order: what is left out can only make the map less certain.
