@@ -175,6 +175,15 @@ TEST_F(CompactTable, FindsFilesAndReferences) {
   EXPECT_TRUE(json["files"].empty());
 }
 
+TEST_F(CompactTable, OfAGiantOnlyTheOptimum) {
+  const auto row = Table("--graphs ellipse --random-runs 0 --most-poses 100")["graphs"][0];
+  EXPECT_TRUE(row["apal"]["seconds"]["total"].is_null());
+  EXPECT_TRUE(row["time_ratio"].is_null());
+  EXPECT_EQ(row["fpfl"]["errors"]["stride"], 2);
+  EXPECT_GT(row["fpfl"]["ate_ratio"], 0);
+  EXPECT_TRUE(row["rfpfl"].is_null());
+}
+
 TEST_F(CompactTable, TextAndDocument) {
   Write("doc.md", "before\n<!-- tables -->\nstale text\n<!-- /tables -->\nafter\n");
   const std::string text =
