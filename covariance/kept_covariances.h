@@ -40,7 +40,8 @@ class KeptCovariances {
     archive(diagonals_, column_, drift_, downdates_, pause_, next_pause_, appended_, current);
     if constexpr (Archive::kReads) {
       const std::size_t variables = static_cast<std::size_t>(factor_->Variables());
-      if (drift_.size() != diagonals_.size() || column_.size() != diagonals_.size() * B * kStride ||
+      // The column has room to grow.
+      if (drift_.size() != diagonals_.size() || column_.size() < diagonals_.size() * B * kStride ||
           (current && diagonals_.size() != variables)) {
         archive.Fail("kept covariances of another map");
       }

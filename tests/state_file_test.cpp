@@ -16,20 +16,17 @@
 #include "terse/covariance/incremental_marginals.h"
 #include "testing_files.h"
 #include "testing_incremental.h"
+#include "testing_state.h"
 
 namespace terse {
 namespace {
 
+using testing::Bits;
+using testing::Bytes;
 using testing::OnePosePerUpdate;
 using testing::Random;
-
-// At the end of a solver's file: five times in seconds, then the checksum.
-constexpr std::size_t kChecksum = 8, kTimes = 5 * sizeof(double);
-
-template <class T>
-std::string Bytes(const T& value) {
-  return std::string(reinterpret_cast<const char*>(&value), sizeof(value));
-}
+using testing::WithChecksum;
+constexpr std::size_t kChecksum = testing::kStateChecksum, kTimes = testing::kStateTimes;
 
 template <class Pose>
 std::string SavedBytes(const IncrementalSolver<Pose>& solver) {
@@ -52,12 +49,6 @@ IncrementalSolver<Pose> SavedAndLoaded(const IncrementalSolver<Pose>& solver) {
   return IncrementalSolver<Pose>::Load(file.Path());
 }
 
-// Numbers as bits.
-template <class Number>
-std::string Bits(Number number) {
-  return Bytes(number);
-}
-
 std::string Fields(const StepReport& report) {
   // All of them, so that a new one is not forgotten.
   const auto& [factor_ids, path, fronts_updated, fronts_refactored, variables_refactored, gate_open, gate_value,
@@ -70,14 +61,6 @@ std::string Fields(const StepReport& report) {
          Bits(gate_open) + Bits(gate_value) + Bits(iterations) + Bits(variables_relinearised) + Bits(variables_moved) +
          Bits(predicted_decrease) + Bits(actual_decrease) + Bits(gain_nats) + Bits(deferred_relinearisations) +
          Bits(deferred_fronts) + Bits(flops) + Bits(solve_flops) + Bits(paper_update_flops) + Bits(paper_solve_flops);
-}
-
-std::string Bits(const SE2& T) { return Bits(T.Translation().x()) + Bits(T.Translation().y()) + Bits(T.Theta()); }
-std::string Bits(const SE3& T) {
-  std::string out;
-  for (int i = 0; i < 3; ++i) out += Bits(T.Translation()[i]);
-  for (int i = 0; i < 4; ++i) out += Bits(T.Rotation().Unit().coeffs()[i]);
-  return out;
 }
 
 template <class Pose>
@@ -325,14 +308,6 @@ TEST(StateFileErrorTest, AnyFlippedBit) {
     const TestFile file("flipped.state", flipped);
     ASSERT_NE(LoadError<SE2>(file.Path()), "") << "byte " << at;
   }
-}
-
-// FNV-1a, as the header of state_file.h says.
-std::string WithChecksum(std::string bytes) {
-  std::uint64_t hash = 0xcbf29ce484222325;
-  bytes.resize(bytes.size() - kChecksum);
-  for (const char c : bytes) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3;
-  return bytes + Bytes(hash);
 }
 
 // A right checksum over nonsense: refused, or a solver that works on, but no crash and no endless memory.

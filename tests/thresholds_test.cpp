@@ -1,0 +1,355 @@
+// Thresholds chosen from a sample against graphs to which the links are really added, and the random baseline.
+
+#include "terse/compact/thresholds.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "terse/compact/information.h"
+#include "terse/covariance/marginals.h"
+#include "testing_compact.h"
+
+namespace terse {
+namespace {
+
+using testing::Random;
+
+// What a sample of all poses and links tells, from a graph that the links are added to one after the other.
+template <class Pose>
+struct Recorded {
+  std::vector<double> loop_gains, pose_gains;
+  std::vector<Displacement<Pose>> displacements;  // of the loops, before any of their pose was added
+};
+
+template <class Pose>
+class Recorder {
+ public:
+  explicit Recorder(const PoseGraph<Pose>& graph) : replay_(graph), Sigma_y_(replay_.LinkCovariance()), slam_(All()) {}
+
+  Recorded<Pose> Record(long poses) {
+    for (long k = 0; k < poses; ++k) {
+      const auto& input = replay_.Inputs()[static_cast<std::size_t>(k)];
+      if (k > 0) Look(input);
+      slam_.AddPose(input, replay_.AsRegistration());
+    }
+    return out_;
+  }
+
+ private:
+  static CompactOptions<Pose> All() {
+    CompactOptions<Pose> options;
+    options.strategy = Strategy::kApal;
+    return options;
+  }
+  UncertainPose<Pose> Seen(const PoseGraph<Pose>& graph, const std::vector<Pose>& points, PoseId from,
+                           PoseId to) const {
+    const auto at = [&](PoseId id) { return points[static_cast<std::size_t>(graph.IndexOf(id))]; };
+    const Marginals<Pose> marginals(graph, points);
+    return {at(from).Inverse() * at(to), marginals.Relative(from, to)};
+  }
+  double Gain(const UncertainPose<Pose>& T) const { return InformationGain<Pose::kDof>(T.covariance, Sigma_y_); }
+
+  void Look(const CompactInput<Pose>& input) {
+    const PoseId base = input.odometry->from == input.id ? input.odometry->to : input.odometry->from;
+    const UncertainPose<Pose> T_base_n = SeenFrom(base, *input.odometry);
+    auto graph = slam_.Solver().Graph();
+    auto points = slam_.Solver().LinearizationPoints();
+    points.push_back(points[static_cast<std::size_t>(graph.IndexOf(base))] * T_base_n.T_a_b);
+    graph.AddPose(input.id);
+    graph.AddFactor(*input.odometry);
+    double least = Gain(T_base_n);
+    std::vector<PoseId> left = *input.linkable;
+    for (const PoseId loop : left) {
+      const auto T = Seen(graph, points, loop, input.id);
+      out_.displacements.push_back(ComputeDisplacement<Pose>(T));
+      least = std::min(least, Gain(T));
+    }
+    out_.pose_gains.push_back(least);
+    const typename Pose::Jacobian inverse = Sigma_y_.inverse(), information = (inverse + inverse.transpose()) / 2;
+    while (!left.empty()) {
+      std::vector<double> gains;
+      for (const PoseId loop : left) gains.push_back(Gain(Seen(graph, points, loop, input.id)));
+      const auto best = std::max_element(gains.begin(), gains.end());
+      const auto which = left.begin() + (best - gains.begin());
+      out_.loop_gains.push_back(*best);
+      const Pose T = Seen(graph, points, *which, input.id).T_a_b;
+      graph.AddFactor(RelativePoseFactor<Pose>{*which, input.id, T, information});
+      left.erase(which);
+    }
+  }
+
+  GraphReplay<Pose> replay_;
+  typename Pose::Jacobian Sigma_y_;
+  CompactPoseSlam<Pose> slam_;
+  Recorded<Pose> out_;
+};
+
+// 90 % are not above it.
+double Percentile90(std::vector<double> values) {
+  if (values.empty()) return 0;
+  std::sort(values.begin(), values.end());
+  return values[static_cast<std::size_t>(std::lround(0.9 * static_cast<double>(values.size() - 1)))];
+}
+
+double Raise(double gain, double power) { return std::pow(gain + 1, power) - 1; }
+
+// The formulas and bounds of the header.
+template <class Pose>
+void ExpectFormulas(const Thresholds<Pose>& t) {
+  constexpr int kDof = Pose::kDof;
+  const double loop = std::min(std::max(Raise(t.loop_gain_90, 1.36), 0.5 * kDof), 1.5 * kDof);
+  EXPECT_NEAR(t.min_loop_gain, loop, 1e-12 * loop);
+  const double pose = std::max({Raise(t.pose_gain_90, 1.7), 0.9 * kDof, 0.9 * loop});
+  EXPECT_NEAR(t.min_pose_gain, pose, 1e-12 * pose);
+}
+
+template <class Pose>
+void ExpectAsRecorded(const PoseGraph<Pose>& graph, double share, double tolerance) {
+  SCOPED_TRACE("share " + std::to_string(share));
+  SampleOptions options;
+  options.share = share;
+  const auto chosen = SelectThresholds(graph, options);
+  ASSERT_EQ(chosen.sample_poses, std::lround(share * static_cast<double>(graph.Poses().size())));
+  const auto recorded = Recorder<Pose>(graph).Record(chosen.sample_poses);
+  const double loop = Percentile90(recorded.loop_gains), pose = Percentile90(recorded.pose_gains);
+  // Below 0.05 nat gains are not told apart.
+  EXPECT_NEAR(chosen.loop_gain_90, loop, loop < 0.05 ? 0.05 : tolerance * loop);
+  EXPECT_NEAR(chosen.pose_gain_90, pose, tolerance * pose + 1e-12);
+  ExpectFormulas(chosen);
+  const GraphReplay<Pose> replay(graph);
+  EXPECT_TRUE(chosen.link_covariance == replay.LinkCovariance());
+  EXPECT_TRUE((chosen.range.array() >= replay.LinkRange().array()).all());
+  if (recorded.displacements.empty()) {
+    EXPECT_TRUE(chosen.range == replay.LinkRange());
+  }
+  // Every loop of the sample passes, and where the range is not the links' own, one only just.
+  const Vector<Displacement<Pose>::kSize> less = chosen.range * 0.99;
+  Vector<Displacement<Pose>::kSize> worst, worst_of_less;
+  worst.setOnes();
+  worst_of_less.setOnes();
+  for (const auto& displacement : recorded.displacements) {
+    worst = worst.cwiseMin(RangeProbabilities<Pose>(displacement, chosen.range));
+    worst_of_less = worst_of_less.cwiseMin(RangeProbabilities<Pose>(displacement, less));
+  }
+  EXPECT_GT(worst.minCoeff(), options.probability * (1 - tolerance));
+  EXPECT_TRUE((chosen.range.template head<Pose::kDim>().array() == chosen.range[0]).all()) << "alike to all sides";
+  const auto expect_least = [&](int first, int count) {
+    if (chosen.range[first] <= replay.LinkRange()[first]) return;
+    EXPECT_LE(worst_of_less.segment(first, count).minCoeff(), options.probability * (1 + tolerance)) << first;
+  };
+  expect_least(0, Pose::kDim);
+  expect_least(Pose::kDim, 1);
+}
+
+template <class Pose>
+class ThresholdsTest : public ::testing::Test {
+ public:
+  static testing::RandomGraph<Pose> Scene(std::uint64_t seed, double noise = 0.02) {
+    Random rng(seed);
+    testing::RandomGraphOptions options;
+    options.poses = 36;
+    options.loops_per_pose = 0.9;
+    options.noise = noise;
+    options.id_stride = 2;
+    return testing::MakeRandomGraph<Pose>(rng, options);
+  }
+};
+using Groups = ::testing::Types<SE2, SE3>;
+TYPED_TEST_SUITE(ThresholdsTest, Groups);
+
+// The anchor's 1e8 takes eight digits of the covariances near it.
+TYPED_TEST(ThresholdsTest, AreThoseOfLinksReallyAdded) {
+  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    const auto graph = testing::WithoutNoise(this->Scene(seed));
+    for (const double share : {0.1, 0.35, 0.6, 1.0}) ExpectAsRecorded(graph, share, 1e-5);
+  }
+}
+
+// Estimates and linearisation points are not quite the same.
+TYPED_TEST(ThresholdsTest, AreThoseOfLinksReallyAddedWithNoise) {
+  ExpectAsRecorded(this->Scene(5, 0.05).graph, 0.8, 0.02);
+}
+
+TEST(ThresholdsScenes, AreThoseOfLinksReallyAdded) {
+  ExpectAsRecorded(testing::WithoutNoise(testing::MakeScene<SE2>(Scene::kManhattan, 150)), 0.6, 1e-5);
+  ExpectAsRecorded(testing::WithoutNoise(testing::MakeScene<SE3>(Scene::kSphere, 120)), 0.9, 1e-5);
+}
+
+// Odometry so good that gains are next to nothing, and so bad that they are large: both ends of the bounds.
+TYPED_TEST(ThresholdsTest, AreBounded) {
+  using Pose = TypeParam;
+  for (const double scale : {1e-4, 1e4}) {
+    const auto scene = this->Scene(6);
+    GraphReplay<Pose> replay(scene.graph);
+    PoseGraph<Pose> graph;
+    for (const auto& node : scene.graph.Poses()) graph.AddPose(node.id, node.T_world_body);
+    for (const auto& input : replay.Inputs()) {
+      if (input.odometry) graph.AddFactor(*input.odometry);
+      for (const PoseId other : *input.linkable) {
+        auto link = *replay.AsRegistration()(other, input.id);
+        link.information *= scale;
+        graph.AddFactor(link);
+      }
+    }
+    const auto chosen = SelectThresholds(graph);
+    ExpectFormulas(chosen);
+    if (scale < 1) {
+      EXPECT_EQ(chosen.min_loop_gain, 0.5 * Pose::kDof);
+      EXPECT_EQ(chosen.min_pose_gain, 0.9 * Pose::kDof);
+    } else {
+      EXPECT_EQ(chosen.min_loop_gain, 1.5 * Pose::kDof);
+      EXPECT_GE(chosen.min_pose_gain, 0.9 * 1.5 * Pose::kDof);
+    }
+  }
+}
+
+TYPED_TEST(ThresholdsTest, TheSampleIsWhatWasAskedFor) {
+  const auto graph = this->Scene(7).graph;
+  SampleOptions options;
+  EXPECT_EQ(SelectThresholds(graph, options).sample_poses, 22);
+  long last = 0;
+  options.progress = [&](long done, long total) {
+    EXPECT_EQ(done, ++last);
+    EXPECT_EQ(total, 10);
+  };
+  options.most_poses = 10;
+  const auto capped = SelectThresholds(graph, options);
+  EXPECT_EQ(capped.sample_poses, 10);
+  EXPECT_EQ(last, 10);
+  options = {};
+  options.share = 10 / 36.0;
+  const auto same = SelectThresholds(graph, options);
+  EXPECT_EQ(same.sample_poses, 10);
+  EXPECT_EQ(same.min_loop_gain, capped.min_loop_gain);
+  EXPECT_EQ(same.min_pose_gain, capped.min_pose_gain);
+  EXPECT_TRUE(same.range == capped.range);
+  // Nothing to learn from: what the links say remains.
+  options.share = 1e-3;
+  const auto none = SelectThresholds(graph, options);
+  EXPECT_EQ(none.sample_poses, 0);
+  EXPECT_EQ(none.min_loop_gain, 0.5 * TypeParam::kDof);
+  EXPECT_TRUE(none.range == GraphReplay<TypeParam>(graph).LinkRange());
+}
+
+TYPED_TEST(ThresholdsTest, MisuseIsRefused) {
+  const auto refuse = [](const PoseGraph<TypeParam>& graph, auto change) {
+    SampleOptions options;
+    change(options);
+    EXPECT_THROW(SelectThresholds(graph, options), std::invalid_argument);
+  };
+  const auto graph = this->Scene(8).graph;
+  refuse(graph, [](auto& o) { o.share = 0; });
+  refuse(graph, [](auto& o) { o.share = 1.1; });
+  refuse(graph, [](auto& o) { o.share = std::numeric_limits<double>::quiet_NaN(); });
+  refuse(graph, [](auto& o) { o.probability = 1; });
+  refuse(graph, [](auto& o) { o.probability = -1; });
+  refuse(graph, [](auto& o) { o.most_poses = 0; });
+  PoseGraph<TypeParam> apart;
+  refuse(apart, [](auto&) {});
+  apart.AddPose(PoseId{1});
+  apart.AddPose(PoseId{2});
+  refuse(apart, [](auto&) {});
+}
+
+// The random baseline -----------------------------------------------------------------------------------------------
+
+struct Drawn {
+  std::set<std::int64_t> poses;
+  std::vector<std::pair<std::int64_t, std::int64_t>> links;
+  bool operator==(const Drawn& o) const { return poses == o.poses && links == o.links; }
+};
+
+template <class Pose>
+Drawn Draw(GraphReplay<Pose>& replay, int poses, int links, std::uint64_t seed) {
+  replay.DrawAtRandom(poses, links, seed);
+  Drawn out;
+  for (const auto& input : replay.Inputs()) {
+    if (input.drawn) out.poses.insert(input.id.value);
+    for (const PoseId other : *input.linkable) out.links.emplace_back(other.value, input.id.value);
+  }
+  return out;
+}
+
+TYPED_TEST(ThresholdsTest, DrawsWhatWasAskedFor) {
+  const auto graph = this->Scene(9).graph;
+  GraphReplay<TypeParam> replay(graph);
+  const GraphReplay<TypeParam> all(graph);
+  const std::int64_t first = all.Inputs()[0].id.value;
+  const auto between = [&](const std::set<std::int64_t>& poses) {
+    int count = 0;
+    for (const auto& input : all.Inputs()) {
+      for (const PoseId other : *input.linkable) count += poses.count(other.value) * poses.count(input.id.value) != 0;
+    }
+    return count;
+  };
+  std::set<std::set<std::int64_t>> choices;
+  for (const int poses : {-1, 0, 1, 2, 12, 36, 50}) {
+    for (const int links : {-1, 0, 3, 1000}) {
+      for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+        const auto drawn = Draw(replay, poses, links, seed);
+        EXPECT_EQ(static_cast<int>(drawn.poses.size()), std::min(std::max(poses, 1), 36));
+        EXPECT_EQ(drawn.poses.count(first), 1u);
+        const int possible = between(drawn.poses);
+        EXPECT_EQ(static_cast<int>(drawn.links.size()), std::min(std::max(links, 0), possible));
+        for (const auto& [a, b] : drawn.links) EXPECT_TRUE(drawn.poses.count(a) == 1 && drawn.poses.count(b) == 1);
+        EXPECT_TRUE(drawn == Draw(replay, poses, links, seed)) << "same seed, same choice, drawn again or anew";
+        GraphReplay<TypeParam> other(graph);
+        EXPECT_TRUE(drawn == Draw(other, poses, links, seed));
+        if (poses == 12) choices.insert(drawn.poses);
+      }
+    }
+  }
+  EXPECT_EQ(choices.size(), 5u) << "another seed, another choice";
+}
+
+TYPED_TEST(ThresholdsTest, EveryPoseIsDrawnAsOftenAsAnother) {
+  const auto graph = this->Scene(10).graph;
+  GraphReplay<TypeParam> replay(graph);
+  std::map<std::int64_t, int> times;
+  constexpr int kSeeds = 700;
+  for (std::uint64_t seed = 1; seed <= kSeeds; ++seed) {
+    for (const std::int64_t pose : Draw(replay, 11, 0, seed).poses) ++times[pose];
+  }
+  ASSERT_EQ(times.size(), 36u);
+  for (const auto& [pose, count] : times) {
+    if (pose == replay.Inputs()[0].id.value) {
+      EXPECT_EQ(count, kSeeds);
+      continue;
+    }
+    const double expected = kSeeds * 10 / 35.0;
+    EXPECT_NEAR(count, expected, 4 * std::sqrt(expected)) << pose;
+  }
+}
+
+TYPED_TEST(ThresholdsTest, TheBaselineKeepsExactlyWhatWasDrawn) {
+  const auto graph = this->Scene(11).graph;
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    GraphReplay<TypeParam> replay(graph);
+    const auto drawn = Draw(replay, 14, 4, seed);
+    CompactOptions<TypeParam> options;
+    options.strategy = Strategy::kRfpfl;
+    auto run = testing::RunCompact(replay, options);
+    const auto& kept = run.slam->Solver().Graph();
+    EXPECT_EQ(kept.Poses().size(), drawn.poses.size());
+    for (const auto& node : kept.Poses()) EXPECT_EQ(drawn.poses.count(node.id.value), 1u);
+    std::vector<std::pair<std::int64_t, std::int64_t>> links;
+    for (const Decision& d : run.decisions) {
+      EXPECT_EQ(d.Kept(), drawn.poses.count(d.id.value) == 1);
+      EXPECT_EQ(d.links_refused, 0);
+      for (const Candidate& c : d.candidates) {
+        EXPECT_TRUE(c.accepted && c.factor && !c.measured_gain && !c.innovation);
+        links.emplace_back(c.id.value, d.id.value);
+      }
+    }
+    EXPECT_EQ(links, drawn.links);
+    EXPECT_EQ(run.slam->LinksKept(), static_cast<int>(links.size()));
+    EXPECT_EQ(kept.Factors().size(), kept.Poses().size() - 1 + links.size());
+    EXPECT_EQ(run.slam->Trajectory().size(), graph.Poses().size());
+    EXPECT_TRUE(run.slam->Finish().Converged());
+  }
+}
+
+}  // namespace
+}  // namespace terse
