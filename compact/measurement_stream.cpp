@@ -150,8 +150,9 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::Close() {
   std::vector<Offer> offers = MakeOffers();
   const OpenPose pose = *std::exchange(open_, std::nullopt);
   CompactInput<Pose> input = pose.input;
-  input.linkable.emplace();
-  for (const Offer& offer : offers) input.linkable->push_back(offer.kept);
+  std::vector<PoseId> linkable;
+  for (const Offer& offer : offers) linkable.push_back(offer.kept);
+  input.linkable = std::move(linkable);
   const auto take = [&](PoseId candidate, PoseId) -> std::optional<RelativePoseFactor<Pose>> {
     for (Offer& offer : offers) {
       if (offer.taken || offer.kept != candidate) continue;

@@ -93,8 +93,8 @@ std::string IncrementalSolver<Pose>::FindStateDefect() const {
   }
   // The factor may have free slots that no step has ever used: those of a step that failed.
   if (!HaveSize(slots, W_of_slot_, error_of_slot_, is_suspect_, is_listed_) ||
-      !HaveSize(IsRobust() ? slots : 0, is_loop_, weight_of_slot_, judged_chi2_) ||
-      At(factor_.Slots()) < slots || !AreBelow(suspects_, slots) || !AreBelow(slot_of_factor_, slots, -1)) {
+      !HaveSize(IsRobust() ? slots : 0, is_loop_, weight_of_slot_, judged_chi2_) || At(factor_.Slots()) < slots ||
+      !AreBelow(suspects_, slots) || !AreBelow(slot_of_factor_, slots, -1)) {
     return "lists by slot have different sizes";
   }
   if (static_cast<size_t>(graph_.NextFactorId().value) != slot_of_factor_.size()) return "factors without a slot";

@@ -9,6 +9,7 @@
 
 #include "terse/compact/graph_replay.h"
 #include "terse/core/graph_file.h"
+#include "terse/core/robust.h"
 #include "terse/core/trajectory.h"
 #include "terse/covariance/marginals.h"
 #include "testing_command.h"
@@ -33,8 +34,8 @@ class CompactCommand : public testing::CommandTest {
   }
 };
 
-const std::vector<std::string> kResults = {"compact.g2o", "covariances.csv", "decisions.csv", "stats.json",
-                                           "trajectory.tum"};
+const std::vector<std::string> kResults = {"compact.g2o", "covariances.csv", "decisions.csv",
+                                           "stats.json",  "thresholds.json", "trajectory.tum"};
 
 template <class Pose>
 bool HasFactor(const PoseGraph<Pose>& graph, const Factor<Pose>& factor) {
@@ -87,17 +88,24 @@ void ExpectConsistent(const std::filesystem::path& folder, const PoseGraph<Pose>
 
   const auto decisions = CsvRows(read("decisions.csv"));
   ASSERT_EQ(decisions.size(), input.Poses().size());
-  long kept = 0, links = 0, tried = 0;
+  long kept = 0, links = 0, tried = 0, refused = 0;
   for (const auto& row : decisions) {
-    ASSERT_EQ(row.size(), 11u);
+    ASSERT_EQ(row.size(), 14u);
     EXPECT_EQ(compact.HasPose({std::stoll(row[0])}), row[1] == "1") << row[0];
     kept += std::stol(row[1]);
     tried += std::stol(row[4]);
     links += std::stol(row[5]);
+    refused += std::stol(row[12]);
+    EXPECT_EQ(std::count(row[10].begin(), row[10].end(), '1'), std::stol(row[5])) << row[0];
+    // Accepted links name their factor, which RemoveLink takes.
+    std::istringstream accepted(row[10]), factors(row[13]);
+    std::string flag, factor;
+    while (accepted >> flag && factors >> factor) EXPECT_EQ(flag == "1", factor != "-") << row[0];
   }
   EXPECT_EQ(stats["poses_kept"], kept);
   EXPECT_EQ(stats["links_kept"], links);
   EXPECT_EQ(stats["registrations_tried"], tried);
+  EXPECT_EQ(stats["links_refused"], refused);
 
   const Marginals<Pose> marginals(compact, values);
   const auto rows = CsvRows(read("covariances.csv"));
@@ -174,7 +182,7 @@ TEST_F(CompactCommand, StatisticsHaveTheAgreedKeys) {
   const auto stats = JsonFile("few/stats.json");
   const auto solved = JsonFile("solved.json");
   for (const auto& item : solved.items()) EXPECT_TRUE(stats.contains(item.key())) << item.key();
-  for (const char* key : {"poses_kept", "links_kept", "links_offered", "registrations_tried"}) {
+  for (const char* key : {"poses_kept", "links_kept", "links_offered", "registrations_tried", "links_refused"}) {
     EXPECT_TRUE(stats[key].is_number_integer()) << key;
   }
   EXPECT_EQ(stats["strategy"], "fpfl");
@@ -185,9 +193,12 @@ TEST_F(CompactCommand, ThresholdsAreObeyed) {
   const std::string run = "compact in.g2o --strategy fpfl --output few ";
   Succeed(run + "--range 3 4 1.5 --min-pose-gain 2 --min-loop-gain 1.25 --probability 0.2");
   const auto given = JsonFile("few/stats.json");
-  EXPECT_EQ(given["thresholds"],
-            nlohmann::json(
-                {{"range", {3.0, 4.0, 1.5}}, {"probability", 0.2}, {"min_loop_gain", 1.25}, {"min_pose_gain", 2.0}}));
+  EXPECT_EQ(given["thresholds"], nlohmann::json({{"dimension", 2},
+                                                 {"range", {3.0, 4.0, 1.5}},
+                                                 {"probability", 0.2},
+                                                 {"min_loop_gain", 1.25},
+                                                 {"min_pose_gain", 2.0}}));
+  EXPECT_FALSE(given.contains("sample")) << "nothing was left to choose";
   for (const auto& row : CsvRows(Read("few/decisions.csv"))) {
     if (row[2] == "redundant") {
       EXPECT_LE(std::stod(row[3]), 2.0) << row[0];
@@ -195,12 +206,13 @@ TEST_F(CompactCommand, ThresholdsAreObeyed) {
     if (row[2] == "informative") {
       EXPECT_GT(std::stod(row[3]), 2.0) << row[0];
     }
-    std::istringstream probabilities(row[7]), measured(row[9]), accepted(row[10]);
+    std::istringstream probabilities(row[7]), measured(row[9]), accepted(row[10]), innovations(row[11]);
     double probability = 0;
-    std::string gain, flag;
+    std::string gain, flag, innovation;
     while (probabilities >> probability) EXPECT_GT(probability, 0.2) << row[0];
-    while (measured >> gain && accepted >> flag) {
-      EXPECT_EQ(flag == "1", gain != "-" && std::stod(gain) > 1.25) << row[0];
+    while (measured >> gain && accepted >> flag && innovations >> innovation) {
+      const bool outlier = innovation != "-" && std::stod(innovation) > ChiSquareQuantile(0.9999, 3);
+      EXPECT_EQ(flag == "1", gain != "-" && std::stod(gain) > 1.25 && !outlier) << row[0];
     }
   }
   // One is given, the others come from the sample and do not depend on it.
@@ -215,6 +227,137 @@ TEST_F(CompactCommand, ThresholdsAreObeyed) {
   const auto fewest = JsonFile("few/stats.json");
   EXPECT_EQ(fewest["links_kept"], 0);
   EXPECT_LT(fewest["poses_kept"], chosen["poses_kept"]);
+}
+
+// The files that two runs agree in when they were the same to the bit; the statistics hold times.
+const std::vector<std::string> kRepeatable = {"compact.g2o", "covariances.csv", "decisions.csv", "thresholds.json",
+                                              "trajectory.tum"};
+
+TEST_F(CompactCommand, ThresholdsAreChosenFromASample) {
+  MakeScene("manhattan");
+  const std::string run = "compact in.g2o --strategy fpfl --quiet --output ";
+  Succeed(run + "plain");
+  Succeed(run + "chosen --auto-thresholds");
+  for (const std::string& name : kRepeatable) EXPECT_EQ(Read("plain/" + name), Read("chosen/" + name)) << name;
+  const auto stats = JsonFile("chosen/stats.json");
+  EXPECT_EQ(stats["sample"]["poses"], 180);
+  for (const char* key : {"loop_gain_90", "pose_gain_90", "seconds"}) EXPECT_GE(stats["sample"][key], 0) << key;
+  Succeed(run + "less --auto-thresholds --sample 0.2");
+  EXPECT_EQ(JsonFile("less/stats.json")["sample"]["poses"], 60);
+  EXPECT_NE(Read("less/thresholds.json"), Read("chosen/thresholds.json"));
+  // What is given stays, though a sample is taken.
+  Succeed(run + "mixed --auto-thresholds --min-pose-gain 0.5 --min-loop-gain 0.25 --range 9 8 1 --probability 0.3");
+  const auto mixed = JsonFile("mixed/stats.json");
+  EXPECT_EQ(mixed["sample"]["poses"], 180);
+  EXPECT_EQ(mixed["thresholds"]["min_pose_gain"], 0.5);
+  EXPECT_EQ(mixed["thresholds"]["min_loop_gain"], 0.25);
+  EXPECT_EQ(mixed["thresholds"]["range"], nlohmann::json({9.0, 8.0, 1.0}));
+  EXPECT_EQ(mixed["thresholds"]["probability"], 0.3);
+  // All poses and links need none, but may be asked for some.
+  Succeed("compact in.g2o --strategy apal --quiet --output all");
+  EXPECT_FALSE(JsonFile("all/stats.json").contains("sample"));
+  Succeed("compact in.g2o --strategy apal --quiet --output all --auto-thresholds");
+  EXPECT_EQ(Read("all/thresholds.json"), Read("chosen/thresholds.json"));
+}
+
+TEST_F(CompactCommand, ThresholdsReadBackGiveTheSameRun) {
+  for (const std::string scene : {"manhattan", "ellipse-n"}) {
+    SCOPED_TRACE(scene);
+    MakeScene(scene);
+    Succeed("compact in.g2o --strategy fpfl --quiet --output a --sample 0.4");
+    Succeed("compact in.g2o --strategy fpfl --quiet --output b --thresholds a/thresholds.json");
+    for (const std::string& name : kRepeatable) EXPECT_EQ(Read("a/" + name), Read("b/" + name)) << name;
+    const auto stats = JsonFile("b/stats.json");
+    EXPECT_FALSE(stats.contains("sample"));
+    EXPECT_EQ(stats["thresholds"], JsonFile("a/stats.json")["thresholds"]);
+    EXPECT_TRUE(JsonFile("a/thresholds.json").contains("link_covariance"));
+    // Options override the file.
+    Succeed("compact in.g2o --strategy fpfl --quiet --output b --thresholds a/thresholds.json --min-pose-gain 1e9");
+    auto expected = JsonFile("a/thresholds.json");
+    expected["min_pose_gain"] = 1e9;
+    EXPECT_EQ(JsonFile("b/thresholds.json"), expected);
+    EXPECT_LT(JsonFile("b/stats.json")["poses_kept"], JsonFile("a/stats.json")["poses_kept"]);
+  }
+  // Of a run in space for one in the plane.
+  Succeed("generate manhattan --poses 50 --output plane.g2o");
+  ExpectFailure("compact plane.g2o --strategy fpfl --output c --thresholds a/thresholds.json", 1,
+                "a/thresholds.json: thresholds for 3D, but the run is 2D");
+  ExpectFailure("compact in.g2o --strategy fpfl --output c --thresholds none.json", 1,
+                "none.json: the file does not exist");
+  Write("broken.json", "{\"dimension\": 3}");
+  ExpectFailure("compact in.g2o --strategy fpfl --output c --thresholds broken.json", 1, "broken.json: key \"");
+}
+
+TEST_F(CompactCommand, TheRandomBaselineHasTheSameCounts) {
+  MakeScene("manhattan");
+  Succeed("compact in.g2o --strategy fpfl --quiet --output few");
+  const auto few = JsonFile("few/stats.json");
+  std::set<std::string> choices;
+  for (const std::string seed : {"1", "2", "3"}) {
+    const std::string run = "compact in.g2o --strategy rfpfl --quiet --seed " + seed + " --output ";
+    Succeed(run + "random");
+    const auto stats = JsonFile("random/stats.json");
+    EXPECT_EQ(stats["poses_kept"], few["poses_kept"]);
+    EXPECT_EQ(stats["links_kept"], few["links_kept"]);
+    EXPECT_EQ(stats["thresholds"], few["thresholds"]);
+    ExpectConsistent<SE2>(folder_ / "random", ReadAs<SE2>("in.g2o"));
+    for (const auto& row : CsvRows(Read("random/decisions.csv"))) {
+      EXPECT_TRUE(row[2] == "first" || row[2] == "drawn" || row[2] == "loop_closed" || row[2] == "redundant") << row[2];
+    }
+    Succeed(run + "again");
+    for (const std::string& name : kRepeatable) EXPECT_EQ(Read("again/" + name), Read("random/" + name)) << name;
+    choices.insert(Read("random/compact.g2o"));
+  }
+  EXPECT_EQ(choices.size(), 3u);
+}
+
+TEST_F(CompactCommand, WrongLoopsAreRefused) {
+  Succeed("generate manhattan --poses 300 --output clean.g2o --ground-truth truth.tum");
+  Succeed("generate manhattan --poses 300 --output wrong.g2o --outliers 50 --outliers-list wrong.csv");
+  const std::string run = "compact wrong.g2o --strategy apfl --range 500 500 4 --min-pose-gain 3 --quiet --output ";
+  const auto error = [&](const std::string& folder) {
+    return Json("evaluate " + folder + "/trajectory.tum truth.tum --json")["ate"]["translation_m"].get<double>();
+  };
+  const auto refused = [&](const std::string& folder) {
+    return JsonFile(folder + "/stats.json")["links_refused"].get<long>();
+  };
+  Succeed(run + "tested --min-loop-gain 1");
+  Succeed(run + "untested --min-loop-gain 1 --no-innovation-test");
+  Succeed(run + "strict --min-loop-gain 1 --innovation-quantile 0.5");
+  Succeed("compact clean.g2o --strategy apfl --range 500 500 4 --min-pose-gain 3 --min-loop-gain 1 --output clean");
+  EXPECT_GT(refused("tested"), 10);
+  EXPECT_GT(refused("strict"), refused("tested"));
+  EXPECT_EQ(refused("untested"), 0);
+  EXPECT_LT(error("tested"), 1.2 * error("clean"));
+  EXPECT_GT(error("untested"), 3 * error("clean"));
+  // A robust kernel leaves out what nothing has tested.
+  for (const std::string kernel : {"gnc", "dcs"}) {
+    Succeed(run + kernel + " --min-loop-gain 1 --no-innovation-test --robust " + kernel);
+    EXPECT_EQ(refused(kernel), 0);
+    EXPECT_LT(error(kernel), 0.5 * error("untested")) << kernel;
+  }
+}
+
+TEST_F(CompactCommand, OptionsThatContradictEachOther) {
+  MakeScene("manhattan");
+  Succeed("compact in.g2o --strategy fpfl --quiet --output a");
+  const long files = FileCount();
+  const std::string run = "compact in.g2o --strategy fpfl --output out ";
+  ExpectFailure(run + "--thresholds a/thresholds.json --auto-thresholds", 2, "excludes");
+  ExpectFailure(run + "--thresholds a/thresholds.json --sample 0.5", 2, "excludes");
+  ExpectFailure(run + "--no-innovation-test --innovation-quantile 0.99", 2, "excludes");
+  ExpectFailure(run + "--robust-width 3", 2, "--robust");
+  ExpectFailure(run + "--robust dcs --robust-width 0", 2, "0 is not a positive number");
+  ExpectFailure(run + "--robust welsch", 2, "welsch");
+  ExpectFailure(run + "--sample 1.5", 2, "--sample");
+  ExpectFailure(run + "--sample 0", 2, "--sample");
+  ExpectFailure(run + "--innovation-quantile 1", 2, "--innovation-quantile");
+  ExpectFailure(run + "--innovation-quantile 0", 2, "--innovation-quantile");
+  ExpectFailure(run + "--innovation-quantile nan", 2, "--innovation-quantile");
+  ExpectFailure(run + "--composition third", 2, "third");
+  ExpectFailure(run + "--angle roll", 2, "roll");
+  ExpectFailure(run + "--seed -1", 2, "--seed");
+  EXPECT_EQ(FileCount(), files);
 }
 
 TEST_F(CompactCommand, RecoveryConcernsDroppedPosesOnly) {

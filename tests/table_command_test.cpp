@@ -136,6 +136,7 @@ TEST_F(CompactTable, AgreesWithItselfOnTheEllipse) {
   EXPECT_EQ(row["paper"]["poses_percent"], 23.5);
   ASSERT_EQ(json["files"].size(), 4u);
   for (const auto& file : json["files"]) EXPECT_TRUE(Exists(file)) << file;
+  EXPECT_EQ(JsonFile("figures/tables.json"), json);
 }
 
 // The paper's order: what is left out can only make the map less certain.
@@ -172,6 +173,15 @@ TEST_F(CompactTable, FindsFilesAndReferences) {
   EXPECT_EQ(grid["reference"], "grid");
   EXPECT_GT(grid["fpfl"]["ate_ratio"], 0);
   EXPECT_TRUE(json["files"].empty());
+}
+
+TEST_F(CompactTable, OfAGiantOnlyTheOptimum) {
+  const auto row = Table("--graphs ellipse --random-runs 0 --most-poses 100")["graphs"][0];
+  EXPECT_TRUE(row["apal"]["seconds"]["total"].is_null());
+  EXPECT_TRUE(row["time_ratio"].is_null());
+  EXPECT_EQ(row["fpfl"]["errors"]["stride"], 2);
+  EXPECT_GT(row["fpfl"]["ate_ratio"], 0);
+  EXPECT_TRUE(row["rfpfl"].is_null());
 }
 
 TEST_F(CompactTable, TextAndDocument) {

@@ -233,7 +233,7 @@ void AddCompactCommand(CLI::App& app) {
   command
       ->add_option("--sample", options->sample,
                    "Share of the poses they are chosen from, instead of 0.6 but 5000 poses at most")
-      ->check(CLI::Range(0.0, 1.0).description(""))
+      ->check(CLI::Range(1e-9, 1.0).description(""))
       ->type_name("SHARE")
       ->excludes(file);
   file->excludes(sampled);
@@ -242,7 +242,7 @@ void AddCompactCommand(CLI::App& app) {
           ->add_option("--innovation-quantile", options->innovation_quantile,
                        "A link is refused whose innovation a correct one exceeds with less than the remaining "
                        "probability")
-          ->check(CLI::Range(0.0, 0.99999999).description(""))
+          ->check(CLI::Range(1e-9, 0.99999999).description(""))
           ->type_name("Q")
           ->default_str("0.9999");
   command

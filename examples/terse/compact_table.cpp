@@ -159,8 +159,8 @@ class TableRun {
       mean.stride = result.errors->stride;
       row_.rfpfl = std::move(result);
     }
-    row_.rfpfl.errors = mean;
-    row_.rfpfl.growth.clear();
+    row_.rfpfl->errors = mean;
+    row_.rfpfl->growth.clear();
   }
 
   const NamedGraph<Pose>& named_;

@@ -54,8 +54,8 @@ struct CompactTableRow {
   ReferenceKind reference = ReferenceKind::kOptimum;
   ChosenThresholds thresholds;
   std::map<std::string, TrajectoryErrors> recovery;  // Table 1: v0, v1, v2 of FPFL
-  StrategyResult apal, fpfl, rfpfl;
-  std::optional<StrategyResult> apfl;
+  StrategyResult apal, fpfl;
+  std::optional<StrategyResult> apfl, rfpfl;  // if asked for
   std::vector<NormPoint> norms;
 
   // Absent without a truth to compare with, or a time.

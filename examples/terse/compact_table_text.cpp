@@ -86,7 +86,7 @@ std::string ErrorsText(const std::vector<CompactTableRow>& rows) {
     add("APAL", row.apal, false);
     if (row.apfl) add("APFL", *row.apfl, false);
     add("FPFL", row.fpfl, true);
-    add("RFPFL", row.rfpfl, false);
+    if (row.rfpfl) add("RFPFL", *row.rfpfl, false);
   }
   return table.Text();
 }
@@ -152,7 +152,7 @@ Json ToJson(const CompactTableRow& row) {
   json["apal"] = ToJson(row, row.apal);
   json["apfl"] = row.apfl ? ToJson(row, *row.apfl) : Json(nullptr);
   json["fpfl"] = ToJson(row, row.fpfl);
-  json["rfpfl"] = ToJson(row, row.rfpfl);
+  json["rfpfl"] = row.rfpfl ? ToJson(row, *row.rfpfl) : Json(nullptr);
   json["time_ratio"] = OrNull(row.TimeRatio());
   json["paper"] = {{"poses_percent", OrNull(row.paper.poses_percent)},
                    {"links_percent", OrNull(row.paper.links_percent)},

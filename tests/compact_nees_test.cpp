@@ -1,0 +1,80 @@
+// Compact maps are not more certain than they are right: the errors of FPFL over simulated runs against its
+// covariances.
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+
+#include "simulation.h"
+#include "terse/covariance/marginals.h"
+#include "testing_compact.h"
+
+namespace terse {
+namespace {
+
+constexpr int kRuns = 100;
+
+template <class Pose>
+class CompactNeesTest : public ::testing::Test {};
+using Groups = ::testing::Types<SE2, SE3>;
+TYPED_TEST_SUITE(CompactNeesTest, Groups);
+
+struct Sum {
+  double nees = 0, dof = 0;
+  // Not above the 95 % interval of what a consistent map has. Below it would be a map that knows less than it could.
+  void ExpectNotAbove(const char* what) const {
+    EXPECT_LE(nees, testing::ChiSquareQuantile(dof, 0.975)) << what << ": " << nees << " for " << dof;
+    EXPECT_GE(nees, 0.5 * dof) << what << ": the covariances are far too large";
+  }
+};
+
+// Of the kept poses after Finish: the newest, and all jointly.
+template <class Pose>
+void AddRun(std::uint64_t seed, CompositionOrder composition, Sum& newest, Sum& all, long& dropped, long& links) {
+  constexpr int B = Pose::kDof;
+  testing::SimulationOptions simulation;
+  simulation.poses = 81;
+  const auto run = testing::Simulate<Pose>(seed, simulation);
+  GraphReplay<Pose> replay(run.graph);
+  CompactOptions<Pose> options = testing::OptionsFor(replay, Strategy::kFpfl);
+  options.min_loop_gain = 0.5;
+  options.min_pose_gain = 1;
+  options.composition = composition;
+  auto compact = testing::RunCompact(replay, options);
+  compact.slam->Finish();
+  const IncrementalMarginals<Pose> marginals(compact.slam->Solver());
+  const auto& kept = compact.slam->Solver().Graph().Poses();
+  std::vector<PoseId> ids;
+  Eigen::VectorXd e(B * static_cast<Eigen::Index>(kept.size() - 1));
+  for (std::size_t k = 1; k < kept.size(); ++k) {
+    const Pose& truth = run.truth[static_cast<std::size_t>(kept[k].id.value)];
+    e.segment<B>(B * static_cast<Eigen::Index>(ids.size())) = compact.slam->Estimate(kept[k].id).Local(truth);
+    ids.push_back(kept[k].id);
+  }
+  newest.nees += testing::Nees(e.tail<B>(), marginals.Marginal(ids.back()));
+  newest.dof += B;
+  all.nees += testing::Nees(e, marginals.Joint(ids));
+  all.dof += static_cast<double>(e.size());
+  dropped += static_cast<long>(run.truth.size() - kept.size());
+  links += compact.slam->LinksKept();
+}
+
+TYPED_TEST(CompactNeesTest, NotAboveTheInterval) {
+  for (const auto composition : {CompositionOrder::kFirst, CompositionOrder::kFourth}) {
+    SCOPED_TRACE(composition == CompositionOrder::kFirst ? "first order" : "fourth order");
+    Sum newest, all;
+    long dropped = 0, links = 0;
+    for (std::uint64_t seed = 1; seed <= kRuns; ++seed) {
+      AddRun<TypeParam>(seed, composition, newest, all, dropped, links);
+    }
+    newest.ExpectNotAbove("newest kept pose");
+    all.ExpectNotAbove("all kept poses");
+    EXPECT_GT(dropped, 20 * kRuns) << "poses have to be dropped for this to mean anything";
+    EXPECT_GT(links, 3 * kRuns);
+    std::printf("NEES / dof: newest %.3f, all %.3f; %.1f dropped\n", newest.nees / newest.dof, all.nees / all.dof,
+                static_cast<double>(dropped) / kRuns);
+  }
+}
+
+}  // namespace
+}  // namespace terse
