@@ -353,10 +353,8 @@ TEST_F(CompactCommand, OptionsThatContradictEachOther) {
   ExpectFailure(run + "--sample 0", 2, "--sample");
   ExpectFailure(run + "--innovation-quantile 1", 2, "--innovation-quantile");
   ExpectFailure(run + "--innovation-quantile 0", 2, "--innovation-quantile");
-  ExpectFailure(run + "--innovation-quantile nan", 2, "--innovation-quantile");
   ExpectFailure(run + "--composition third", 2, "third");
   ExpectFailure(run + "--angle roll", 2, "roll");
-  ExpectFailure(run + "--seed -1", 2, "--seed");
   EXPECT_EQ(FileCount(), files);
 }
 
