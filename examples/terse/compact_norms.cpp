@@ -1,5 +1,7 @@
 #include "compact_norms.h"
 
+#include <algorithm>
+
 #include <unordered_map>
 
 #include "progress.h"
@@ -77,11 +79,9 @@ std::vector<NormPoint> ComputeNorms(const PoseGraph<Pose>& graph, const CompactO
   for (std::size_t k = 0; k < graph.Poses().size(); ++k) {
     const PoseGraph<Pose>& kept = few.Slam().Solver().Graph();
     CompactInput<Pose> input = marginalised.Input(k);
-    std::vector<PoseId> there;
-    for (const PoseId id : *input.linkable) {
-      if (kept.HasPose(id)) there.push_back(id);
-    }
-    input.linkable = there;
+    std::vector<PoseId> there = input.linkable.value_or(std::vector<PoseId>());
+    there.erase(std::remove_if(there.begin(), there.end(), [&](PoseId id) { return !kept.HasPose(id); }), there.end());
+    input.linkable = std::move(there);
     marginalised.Add(input);
     apal.Add(apal.Input(k));
     few.Add(few.Input(k));

@@ -213,7 +213,7 @@ void AddSweepCommand(CLI::App& app) {
   command
       ->add_option("--sample", options->sample,
                    "Share of the poses that the thresholds are chosen from, instead of 0.6 but 5000 poses at most")
-      ->check(CLI::Range(0.0, 1.0).description(""))
+      ->check(CLI::Range(1e-9, 1.0).description(""))
       ->type_name("SHARE")
       ->excludes(file);
   command

@@ -121,7 +121,7 @@ void AddCompactTable(CLI::App& table) {
   command
       ->add_option("--sample", options->table.sample,
                    "Share of the poses that the thresholds are chosen from, instead of 0.6 but 5000 poses at most")
-      ->check(CLI::Range(0.0, 1.0).description(""))
+      ->check(CLI::Range(1e-9, 1.0).description(""))
       ->type_name("SHARE");
   command->add_option("--seed", options->table.seed, "Of the first random run")->type_name("N")->capture_default_str();
   command->add_option("--random-runs", options->table.random_runs, "How many of RFPFL the errors are the mean of")

@@ -29,7 +29,7 @@ struct CompactOptions {
   DistanceOptions distance;                                 // how angles are measured, 3D only
   CompositionOrder composition = CompositionOrder::kFirst;  // of the chains over dropped poses
   // A link whose innovation a correct one exceeds with less than the remaining probability is taken for wrong, before
-  // its information counts. Absent: no test. kApal and kRfpfl do not test.
+  // its information counts. Absent: no test. AddPose of kApal and kRfpfl does not test.
   std::optional<double> innovation_quantile = 0.9999;
   // So many refused links of different poses that agree with each other are right after all: it is the map that is off,
   // as after odometry that was worse than its covariance says. At least 2.
