@@ -8,7 +8,7 @@ packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev lib
 bench_packages = libbenchmark-dev libceres-dev
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs install asan format format-check deps clean help
+.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -36,6 +36,10 @@ micro-bench: build-bench/build.ninja ## build and run the benchmarks of single o
 consistency-docs: build-bench/build.ninja ## simulate runs and put plot and table into docs/consistency.md
 	@cmake --build build-bench -j $(JOBS) --target consistency
 	@build-bench/bin/consistency --svg docs/images/consistency.svg --update docs/consistency.md $(BENCH_ARGS)
+
+outliers-docs: build-bench/build.ninja ## run the experiment with wrong loops and put its tables into docs/outliers.md
+	@cmake --build build-bench -j $(JOBS) --target outliers
+	@build-bench/bin/outliers --update docs/outliers.md $(BENCH_ARGS)
 
 compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM into docs/compact.md; GRAPHS=folder of the public graphs
 	@cmake --build build-bench -j $(JOBS) --target bin/terse

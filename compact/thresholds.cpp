@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numeric>
 #include <stdexcept>
 #include <tuple>
 
 #include "terse/compact/information.h"
+#include "terse/compact/innovation.h"
 #include "terse/covariance/incremental_marginals.h"
 
 namespace terse {
@@ -88,6 +90,23 @@ class LoopGains {
   std::vector<Pose> T_loop_n_;
 };
 
+// Takes out the links that the innovation test refuses, and says whether there are any.
+template <class Pose>
+bool RemoveRefused(const LoopGains<Pose>& known, double most_innovation, std::vector<PoseId>& linked,
+                   std::vector<RelativePoseFactor<Pose>>& links) {
+  std::size_t good = 0;
+  for (std::size_t k = 0; k < links.size() && std::isfinite(most_innovation); ++k) {
+    const UncertainPose<Pose> measured = SeenFrom(linked[k], links[k]);
+    if (!(InnovationDistance(known.Displacement(static_cast<int>(k)), measured) <= most_innovation)) continue;
+    linked[good] = linked[k];
+    links[good++] = links[k];
+  }
+  if (!std::isfinite(most_innovation) || good == links.size()) return false;
+  linked.resize(good);
+  links.resize(good);
+  return true;
+}
+
 // Gains below this are not told apart.
 constexpr double kLeastGain = 0.05;
 
@@ -121,6 +140,9 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   if (!(options.share > 0 && options.share <= 1) || !(options.probability >= 0 && options.probability < 1)) {
     throw std::invalid_argument("sample options: the share must be in (0, 1], the probability in [0, 1)");
   }
+  const double most_innovation = options.innovation_quantile
+                                     ? ChiSquareQuantile(*options.innovation_quantile, Pose::kDof)
+                                     : std::numeric_limits<double>::infinity();
   if (options.most_poses < 1) throw std::invalid_argument("sample options: at least one pose is needed");
   GraphReplay<Pose> replay(graph);
   CompactOptions<Pose> everything;
@@ -134,15 +156,22 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   out.range.setZero();
   std::vector<double> loop_gains, pose_gains;
   const auto& inputs = replay.Inputs();
+  const Registration<Pose> edges = replay.AsRegistration();
   const long sample = std::min(options.most_poses, std::lround(options.share * static_cast<double>(inputs.size())));
   out.sample_poses = sample;
   for (long k = 0; k < sample; ++k) {
     const CompactInput<Pose>& input = inputs[static_cast<std::size_t>(k)];
+    std::vector<PoseId> linked = *input.linkable;
+    std::vector<RelativePoseFactor<Pose>> links;
+    for (const PoseId id : linked) links.push_back(*edges(id, input.id));
     if (k > 0) {
       const PoseId base = input.odometry->from == input.id ? input.odometry->to : input.odometry->from;
       const UncertainPose<Pose> T_base_n = SeenFrom(base, *input.odometry);
-      const int loops = static_cast<int>(input.linkable->size());
-      LoopGains<Pose> known(marginals, slam.Solver(), base, T_base_n, *input.linkable);
+      LoopGains<Pose> known(marginals, slam.Solver(), base, T_base_n, linked);
+      if (RemoveRefused(known, most_innovation, linked, links)) {
+        known = LoopGains<Pose>(marginals, slam.Solver(), base, T_base_n, linked);
+      }
+      const int loops = static_cast<int>(links.size());
       double least = InformationGain<Pose::kDof>(T_base_n.covariance, Sigma_y);
       for (int i = 0; i < loops; ++i) {
         const UncertainPose<Pose> T_loop_n = known.Displacement(i);
@@ -153,7 +182,10 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
       pose_gains.push_back(least);
       RecordLoopGains(known, loops, Sigma_y, loop_gains);
     }
-    slam.AddPose(input, replay.AsRegistration());
+    CompactInput<Pose> agreed = input;
+    agreed.linkable = linked;
+    auto next = links.begin();  // kApal asks in their order
+    slam.AddPose(agreed, [&](PoseId, PoseId) { return *next++; });
     if (options.progress) options.progress(k + 1, sample);
   }
   out.range = out.range.cwiseMax(replay.LinkRange(options.distance));

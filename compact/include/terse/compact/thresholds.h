@@ -1,6 +1,8 @@
 #pragma once
 // Thresholds of compact pose SLAM from a sample of a run (Ila et al., IJRR 2017, section 6).
 
+#include <optional>
+
 #include "terse/compact/graph_replay.h"
 
 namespace terse {
@@ -20,6 +22,9 @@ struct SampleOptions {
   double share = 0.6;        // of the run's poses
   long most_poses = 5000;    // but no more than so many: the sample keeps all poses and links, which takes time
   DistanceOptions distance;
+  // Loops whose innovation exceeds this quantile (CompactOptions::innovation_quantile) are left out of the sample: for
+  // graphs with wrong loops, whose covariances are right. Absent: all loops are taken for true.
+  std::optional<double> innovation_quantile;
   std::function<void(long done, long total)> progress;
 };
 
