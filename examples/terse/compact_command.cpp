@@ -73,6 +73,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
     SampleOptions sample;
     sample.probability = options.probability;
     sample.distance = options.distance;
+    sample.innovation_quantile = options.innovation_quantile;
     if (from.sample) {
       sample.share = *from.sample;
       sample.most_poses = std::numeric_limits<long>::max();
