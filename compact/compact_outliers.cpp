@@ -4,6 +4,7 @@
 #include <set>
 
 #include "compact_pose_slam_parts.h"
+#include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
 
 namespace terse {
@@ -11,6 +12,8 @@ namespace {
 
 // A link that is supported finds its support among the last ones: they come from poses close behind each other.
 constexpr std::size_t kMostRefused = 16;
+// A prediction that knows much less than the link measures agrees with anything: nats per degree of freedom.
+constexpr double kMostVagueness = 1;
 
 }  // namespace
 
@@ -32,7 +35,10 @@ bool CompactPoseSlam<Pose>::IsSupported(const Current& current, PoseId candidate
     const UncertainPose<Pose> T_candidate_seen = Compose(Between(candidate, it->candidate), it->T_candidate_seen);
     const UncertainPose<Pose> T_seen_current =
         Compose(Invert(seen.T_base_pose), Compose(Between(seen.base, current.base), current.T_base_current));
-    if (InnovationDistance(Compose(T_candidate_seen, T_seen_current), measured) > most_innovation_) continue;
+    const UncertainPose<Pose> predicted = Compose(T_candidate_seen, T_seen_current);
+    const double vagueness = InformationGain<Pose::kDof>(predicted.covariance, measured.covariance);
+    if (vagueness > kMostVagueness * Pose::kDof) continue;
+    if (InnovationDistance(predicted, measured) > most_innovation_) continue;
     supporters.insert(it->seen);
     if (static_cast<int>(supporters.size()) + 1 >= options_.consensus) return true;
   }
