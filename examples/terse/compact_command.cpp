@@ -146,7 +146,6 @@ template <class Pose>
 void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& options, Stats stats, double start) {
   GraphReplay<Pose> replay(graph);
   const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, stats);
-  WriteThresholds(settings, options.directory + "/thresholds.json");
   if (options.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
   CompactRunOptions<Pose> run_options;
   run_options.quiet = options.quiet;
@@ -154,6 +153,7 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   const CompactPoseSlam<Pose>& slam = run.slam;
   const BatchResult<Pose>& result = run.result;
   stats.step_seconds = std::move(run.step_seconds);
+  WriteThresholds(settings, options.directory + "/thresholds.json");
   WriteResults(slam, result, run.decisions, options, stats);
   const EdgeCounts kept = CountEdges(slam.Solver().Graph());
   stats.poses = graph.Poses().size();
