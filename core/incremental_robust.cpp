@@ -260,7 +260,7 @@ bool IncrementalSolver<Pose>::JudgeLoops(Loops& loops, StepReport& report) {
     r.segment<B>(i * B) = loop.slot >= 0 ? LinearResidual(loop.slot) : loop.residual;
     for (Eigen::Index j = 0; j <= i; ++j) {
       P.block<B, B>(i * B, j * B) = Gram<B>(loop.z, loops[static_cast<size_t>(j)].z);
-      P.block<B, B>(j * B, i * B) = P.block<B, B>(i * B, j * B).transpose();
+      if (j < i) P.block<B, B>(j * B, i * B) = P.block<B, B>(i * B, j * B).transpose();
     }
   }
   if (in.maxCoeff() > 0) {  // leave out what is in
