@@ -104,7 +104,7 @@ TEST(BlockCholesky, BatchAndRefactorEqualDense) {
     factor.Solve();
     auto dense = mirror.Dense();
     dense.H.diagonal() += Eigen::Map<Eigen::VectorXd>(damping.data(), 3 * n);
-    const Eigen::VectorXd x = dense.H.llt().solve(dense.b);
+    const Eigen::VectorXd x = testing::Solve(dense.H, dense.b);
     const Eigen::Map<const Eigen::VectorXd> d(factor.Solution().data(), 3 * n);
     EXPECT_LT(testing::RelativeError(d, x), kTolerance);
     ASSERT_TRUE(factor.Refactor());
@@ -164,7 +164,7 @@ TEST(BlockCholesky, ThresholdBoundsTheErrorOfTheSolution) {
     mirror.variables = v + 1;
     factor.Solve(1e-3);
     const auto dense = mirror.Dense();
-    const Eigen::VectorXd x = dense.H.llt().solve(dense.b);
+    const Eigen::VectorXd x = testing::Solve(dense.H, dense.b);
     const Eigen::Map<const Eigen::VectorXd> d(factor.Solution().data(), x.size());
     // A value stays behind by at most the threshold, seen from separators that stay behind likewise.
     EXPECT_LT((d - x).cwiseAbs().maxCoeff(), 0.1);

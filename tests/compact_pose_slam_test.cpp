@@ -48,7 +48,7 @@ void ExpectAllKeptEqualsBatch(const PoseGraph<Pose>& graph) {
 }
 
 TYPED_TEST(CompactPoseSlamTest, KeepingAllIsTheBatchProblem) {
-  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 6)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     ExpectAllKeptEqualsBatch(this->RandomGraph(seed, seed % 2 == 0));
   }
@@ -85,7 +85,7 @@ void ExpectSameGraph(const PoseGraph<Pose>& a, const PoseGraph<Pose>& b) {
 }
 
 TYPED_TEST(CompactPoseSlamTest, DroppingNothingIsTheGraphOfAllPosesFewLinks) {
-  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
     const auto graph = this->RandomGraph(seed);
     const auto few = RunCompact(graph, Strategy::kFpfl, 0, 0), all = RunCompact(graph, Strategy::kApfl, 0, 0);
     ExpectSameGraph(few.slam->Solver().Graph(), all.slam->Solver().Graph());
@@ -163,7 +163,7 @@ void ExpectRulesObeyed(const PoseGraph<Pose>& graph) {
 }
 
 TYPED_TEST(CompactPoseSlamTest, DecisionsObeyTheRules) {
-  for (std::uint64_t seed = 1; seed <= 3; ++seed) ExpectRulesObeyed(this->RandomGraph(seed));
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) ExpectRulesObeyed(this->RandomGraph(seed));
 }
 
 TEST(CompactScenes, DecisionsObeyTheRules) {

@@ -192,7 +192,7 @@ class Follower {
   }
 
   static typename Pose::Jacobian Information(const UncertainPose<Pose>& chain) {
-    const typename Pose::Jacobian information = chain.covariance.inverse();
+    const typename Pose::Jacobian information = testing::Inverse(chain.covariance);
     return (information + information.transpose()) / 2;
   }
 
@@ -209,7 +209,7 @@ TYPED_TEST_SUITE(CompactSearchTest, Groups);
 
 TYPED_TEST(CompactSearchTest, FindsWhatAnExhaustiveSearchFindsOnRandomGraphs) {
   int compared = 0, links = 0, dropped = 0;
-  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 12)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     Random rng(seed);
     testing::RandomGraphOptions graph;
@@ -263,7 +263,7 @@ TEST(CompactSearchScenes, FindsWhatAnExhaustiveSearchFinds) {
 
 // Priors take over from the anchor that held the frame, and what the anchor told is lost: bounds must not outlive it.
 TEST(CompactSearchScenes, FindsWhatAnExhaustiveSearchFindsWithPositionPriors) {
-  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 10)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     Random rng(seed);
     PoseGraph<SE3> graph;

@@ -75,7 +75,7 @@ class CovarianceCommand : public testing::CommandTest {
     options.id_stride = 7;
     WriteG2o(testing::MakeRandomGraph<Pose>(rng, options).graph, Path("in.g2o"));
     graph_ = ReadAs("in.g2o");
-    Sigma_ = testing::MakeDenseSystem(graph_, Values(graph_)).H.inverse();
+    Sigma_ = testing::Inverse(testing::MakeDenseSystem(graph_, Values(graph_)).H);
   }
   PoseGraph<Pose> ReadAs(const std::string& name, const ReadOptions& options = {}) const {
     return std::get<PoseGraph<Pose>>(ReadGraph(Path(name), options).graph);
@@ -263,7 +263,7 @@ TYPED_TEST(CovarianceCommand, EveryStepEqualsTheDenseInverseOfWhatIsKnown) {
           const PoseId last = std::max(ends.first, ends.second);
           if (last == poses[k].id) known.AddFactor(node.factor);
         }
-        const MatrixXd Sigma = testing::MakeDenseSystem(known, Values(known)).H.inverse();
+        const MatrixXd Sigma = testing::Inverse(testing::MakeDenseSystem(known, Values(known)).H);
         const MatrixXd M = Convention(*poses[k].T_world_body, choice.frame, choice.order);
         EXPECT_LT(RelativeError(LastCells(rows[k], B), M * Sigma.bottomRightCorner<B, B>() * M.transpose()), 1e-6) << k;
         double position = 0, rotation = 0;

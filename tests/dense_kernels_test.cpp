@@ -30,7 +30,7 @@ TEST(DenseKernels, EqualDenseCholesky) {
     for (const auto& [p, s] : sizes) {
       const int rows = p + s, n = s;
       const Eigen::MatrixXd H = RandomSpd(rng, rows);
-      const Eigen::MatrixXd L = H.llt().matrixL();
+      const Eigen::MatrixXd L = testing::CholeskyFactor(H);
       // The entries that are not meaningful must not be used: they start as NaN.
       const double nan = std::numeric_limits<double>::quiet_NaN();
       Eigen::MatrixXd panel = Eigen::MatrixXd::Constant(rows, p, nan), update = Eigen::MatrixXd::Constant(n, n, nan);
@@ -88,14 +88,14 @@ TEST(DenseKernels, RankUpdateEqualsDenseCholesky) {
       H.middleRows(old, fresh).setZero();
       H.middleCols(old, fresh).setZero();
       Eigen::MatrixXd L = Eigen::MatrixXd::Zero(rows, p);
-      const Eigen::MatrixXd top = H.topLeftCorner(old, old).llt().matrixL();
+      const Eigen::MatrixXd top = testing::CholeskyFactor(H.topLeftCorner(old, old));
       L.topLeftCorner(old, old) = top;
       // Eigen's solve binds a reference to the first entry, which an empty matrix has not.
       if (s > 0 && old > 0)
         L.bottomLeftCorner(s, old) = top.triangularView<Eigen::Lower>().solve(H.topRightCorner(old, s)).transpose();
       const Eigen::MatrixXd W = Eigen::MatrixXd::NullaryExpr(rows, K, [&] { return testing::Normal(rng); });
       const Eigen::MatrixXd changed = H + W * W.transpose();
-      const Eigen::MatrixXd expected = changed.llt().matrixL();
+      const Eigen::MatrixXd expected = testing::CholeskyFactor(changed);
       const Eigen::MatrixXd grown = W.bottomRows(s) * W.bottomRows(s).transpose() +
                                     L.bottomRows(s) * L.bottomRows(s).transpose() -
                                     expected.bottomLeftCorner(s, p) * expected.bottomLeftCorner(s, p).transpose();
@@ -138,7 +138,7 @@ TEST(DenseKernels, BackSubstituteEqualsDense) {
       for (const int s : {0, 1, 2, 3, 5, 8, 15, 16, 17, 31, 32, 33, 70}) {
         const int rows = p + s + 1;
         const Eigen::MatrixXd H = RandomSpd(rng, rows);
-        const Eigen::MatrixXd L = H.llt().matrixL();
+        const Eigen::MatrixXd L = testing::CholeskyFactor(H);
         Eigen::MatrixXd panel = Eigen::MatrixXd::Constant(rows, p, std::numeric_limits<double>::quiet_NaN());
         for (int c = 0; c < p; ++c) panel.col(c).tail(rows - c) = L.col(c).tail(rows - c);
         Eigen::VectorXd x = Eigen::VectorXd::NullaryExpr(p + s, [&] { return testing::Normal(rng); });
@@ -218,7 +218,7 @@ TEST(DenseKernels, SubstitutionWithManyRightHandSides) {
       for (const int s : {0, 1, 2, 7, 30}) {
         for (const int columns : {3, 6, 12, 17, 40}) {
           const int rows = p + s, ld = rows + 1, stride = internal::Stride(columns);
-          const Eigen::MatrixXd L = RandomSpd(rng, rows).llt().matrixL();
+          const Eigen::MatrixXd L = testing::CholeskyFactor(RandomSpd(rng, rows));
           // The upper triangle and the row of the right-hand side are nobody's business.
           Eigen::MatrixXd panel = Eigen::MatrixXd::Constant(ld, p, nan);
           for (int c = 0; c < p; ++c) panel.col(c).segment(c, rows - c) = L.col(c).tail(rows - c);

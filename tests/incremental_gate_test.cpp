@@ -60,8 +60,6 @@ Eigen::VectorXd Solution(const std::vector<double>& d, Eigen::Index size) {
   return x;
 }
 
-double LogDeterminant(const Eigen::MatrixXd& H) { return 2 * H.llt().matrixLLT().diagonal().array().log().sum(); }
-
 // The linearisation points before a step, and those that its new poses get.
 template <class Pose>
 std::vector<Pose> WithNewPoints(std::vector<Pose> before, const IncrementalSolver<Pose>& after) {
@@ -73,7 +71,7 @@ std::vector<Pose> WithNewPoints(std::vector<Pose> before, const IncrementalSolve
 TYPED_TEST(IncrementalGateTest, EqualsDenseAfterEveryStepWithAnyGate) {
   for (const Gate gate : kGates) {
     int open = 0;
-    for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    for (const std::uint64_t seed : testing::Seeds(1, 4)) {
       SCOPED_TRACE("gate " + std::to_string(static_cast<int>(gate)) + ", seed " + std::to_string(seed));
       RandomRun<TypeParam> run(seed, seed % 2 == 0);
       IncrementalSolver<TypeParam> solver(Gated(gate));
@@ -112,7 +110,7 @@ TYPED_TEST(IncrementalGateTest, AlwaysWithZeroTolerancesIsGaussNewton) {
   options.relinearize_interval = 1;
   options.max_iterations = 1;
   // Errors below the rounding of their sum stay: 1e-16 of chi2, a square.
-  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     RandomRun<TypeParam> run(seed, seed == 2);
     for (int k = 0; k < 40; ++k) run.updates.emplace_back();
@@ -123,7 +121,7 @@ TYPED_TEST(IncrementalGateTest, AlwaysWithZeroTolerancesIsGaussNewton) {
       solver.Update(update);
       const auto from = WithNewPoints(points, solver);
       const auto dense = testing::MakeDenseSystem(solver.Graph(), from);
-      const Eigen::VectorXd x = dense.H.llt().solve(dense.b);
+      const Eigen::VectorXd x = testing::Solve(dense.H, dense.b);
       for (std::size_t i = 0; i < from.size(); ++i) {
         const Vector<B> d = x.template segment<B>(static_cast<Eigen::Index>(i) * B);
         ASSERT_LT(from[i].Retract(d).Local(solver.EstimateAt(static_cast<int>(i))).norm(), 1e-5)
@@ -182,9 +180,9 @@ TYPED_TEST(IncrementalGateTest, GainIsThatOfTheOldPosesInformation) {
       if (together == 1) {
         const Eigen::Index n = before.b.size();
         const Eigen::MatrixXd left =
-            after.H.topLeftCorner(n, n) -
-            after.H.topRightCorner(n, B) * after.H.bottomRightCorner(B, B).llt().solve(after.H.bottomLeftCorner(B, n));
-        EXPECT_NEAR(report.gain_nats, 0.5 * (LogDeterminant(left) - LogDeterminant(before.H)), 1e-6);
+            after.H.topLeftCorner(n, n) - after.H.topRightCorner(n, B) * testing::Solve(after.H.bottomRightCorner(B, B),
+                                                                                        after.H.bottomLeftCorner(B, n));
+        EXPECT_NEAR(report.gain_nats, 0.5 * (testing::LogDeterminant(left) - testing::LogDeterminant(before.H)), 1e-6);
         // Odometry says nothing about what was known.
         if (update.factors.size() == 1) {
           EXPECT_NEAR(report.gain_nats, 0, 1e-9);
@@ -223,7 +221,7 @@ TYPED_TEST(IncrementalGateTest, NewtonDecrementIsTheDenseLinearDecrease) {
         const auto report = solver.Update(update);
         const auto from = WithNewPoints(points, solver);
         const auto dense = testing::MakeDenseSystem(solver.Graph(), from);
-        const Eigen::VectorXd x = dense.H.llt().solve(dense.b);
+        const Eigen::VectorXd x = testing::Solve(dense.H, dense.b);
         const Eigen::VectorXd missing = Solution(d_before, x.size()) - x;
         const double decrease = missing.dot(dense.H * missing);
         double scalars = 0, chi2 = -x.dot(dense.b);  // linearised, at the minimum
@@ -322,7 +320,7 @@ TYPED_TEST(IncrementalGateTest, ActualDecreaseIsThatOfChi2) {
 
 // A budget that nothing fits into: the step reports what it left, and steps that bring nothing work it off.
 TYPED_TEST(IncrementalGateTest, DeferredWorkIsReportedAndDoneLater) {
-  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     RandomRun<TypeParam> run(seed, false, 25);
     IncrementalOptions options = Exact();

@@ -23,14 +23,10 @@ class IncrementalMarginalsTest : public ::testing::Test {};
 using Groups = ::testing::Types<SE2, SE3>;
 TYPED_TEST_SUITE(IncrementalMarginalsTest, Groups);
 
-// The inverse by a refined dense Cholesky factorisation: the plain inverse itself is only good to about 1e-9 where the
-// anchor (1e8) meets informations of 10.
+// In extended precision: the plain inverse is only good to about 1e-9 where the anchor (1e8) meets informations of 10.
 template <class Pose>
 Eigen::MatrixXd DenseCovariance(const IncrementalSolver<Pose>& solver) {
-  const Eigen::MatrixXd H = testing::MakeDenseSystem(solver.Graph(), solver.LinearizationPoints()).H;
-  using Long = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
-  const Long inverse = H.cast<long double>().llt().solve(Long::Identity(H.rows(), H.cols()));
-  return inverse.cast<double>();
+  return testing::Inverse(testing::MakeDenseSystem(solver.Graph(), solver.LinearizationPoints()).H);
 }
 
 template <class Pose>
@@ -52,7 +48,7 @@ struct Against {
       const auto& block = all[static_cast<std::size_t>(i)];
       ASSERT_LT(RelativeError(block, Block(i, i)), tolerance) << "pose " << i << " of " << n;
       ASSERT_EQ(block, block.transpose());
-      ASSERT_EQ(block.llt().info(), Eigen::Success);
+      ASSERT_TRUE(testing::IsPositiveDefinite(block));
       ASSERT_LT((column[static_cast<std::size_t>(i)] - Block(i, n - 1)).norm(), tolerance * Scale(i, n - 1));
     }
     ASSERT_LT(RelativeError(marginals.Newest(), Block(n - 1, n - 1)), tolerance);
@@ -79,7 +75,7 @@ std::vector<Mode> Modes() {
 
 TYPED_TEST(IncrementalMarginalsTest, EqualTheDenseInverseAfterEveryStepOnEveryPath) {
   std::map<std::string, std::set<CovariancePath>> seen;
-  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 6)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     Random rng(seed);
     testing::RandomGraphOptions options;
@@ -140,7 +136,7 @@ TYPED_TEST(IncrementalMarginalsTest, EqualTheDenseInverseAfterEveryStepOnEveryPa
 
 // Updates that bring several poses, come without any, or are followed by Update only now and then.
 TYPED_TEST(IncrementalMarginalsTest, CatchUpAfterSeveralSteps) {
-  for (std::uint64_t seed = 11; seed <= 14; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(11, 14)) {
     Random rng(seed);
     const auto random = testing::MakeRandomGraph<TypeParam>(rng, {TypeParam::kDof == 3 ? 50 : 30, 0.6, 0.05});
     const auto updates = OnePosePerUpdate(random.graph);
@@ -209,7 +205,7 @@ TYPED_TEST(IncrementalMarginalsTest, JointCrossAndRelativeEqualDense) {
     for (const int i : indices) ids.push_back(poses[static_cast<std::size_t>(i)].id);
     const MatrixX joint = marginals.Joint(ids);
     ASSERT_EQ(joint, joint.transpose());
-    ASSERT_EQ(joint.llt().info(), Eigen::Success);
+    ASSERT_TRUE(testing::IsPositiveDefinite(joint));
     const auto column = marginals.Column(ids.front(), ids);
     for (int r = 0; r < size; ++r) {
       const int i = indices[static_cast<std::size_t>(r)];
@@ -237,7 +233,7 @@ TYPED_TEST(IncrementalMarginalsTest, JointCrossAndRelativeEqualDense) {
 TYPED_TEST(IncrementalMarginalsTest, DriftIsBoundedAndRefreshed) {
   constexpr int B = TypeParam::kDof;
   int refreshed = 0;
-  for (std::uint64_t seed = 61; seed <= 63; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(61, 63)) {
     Random rng(seed);
     IncrementalSolver<TypeParam> solver(Exact());
     CovarianceOptions options;
@@ -283,7 +279,7 @@ TYPED_TEST(IncrementalMarginalsTest, DriftIsBoundedAndRefreshed) {
 
 // Components that only priors hold: a pose's column is zero outside its own.
 TYPED_TEST(IncrementalMarginalsTest, SeveralComponents) {
-  for (std::uint64_t seed = 81; seed <= 84; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(81, 84)) {
     Random rng(seed);
     IncrementalSolver<TypeParam> solver(Exact());
     const std::vector<Mode> modes = Modes();
@@ -395,7 +391,7 @@ TYPED_TEST(IncrementalMarginalsTest, LongChain) {
   }
   // The measurement's own covariance; the joint blocks are 1e8 times larger.
   const auto relative = marginals.Relative(PoseId{kPoses - 2}, PoseId{kPoses - 1});
-  EXPECT_LT(RelativeError(relative, information.inverse()), 1e-9);
+  EXPECT_LT(RelativeError(relative, testing::Inverse(information)), 1e-9);
   EXPECT_EQ(relative, relative.transpose());
 }
 

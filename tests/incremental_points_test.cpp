@@ -48,7 +48,7 @@ double LargestDistance(const std::vector<Pose>& a, const std::vector<Pose>& b) {
 }
 
 TYPED_TEST(IncrementalPointsTest, WithoutThresholdsEveryStepEndsAtTheBatchOptimum) {
-  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 4)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     const auto random = MakeGraph<TypeParam>(seed);
     IncrementalSolver<TypeParam> solver(Points());
@@ -151,7 +151,7 @@ TYPED_TEST(IncrementalPointsTest, ClosedGateMovesOnlyTheNewPoses) {
       auto points = before;
       points.push_back(*update.poses.front().T_world_body);
       const auto dense = testing::MakeDenseSystem(solver.Graph(), points);
-      const Eigen::VectorXd x = dense.H.ldlt().solve(dense.b);
+      const Eigen::VectorXd x = testing::Solve(dense.H, dense.b);
       const TypeParam expected = points.back().Retract(x.template tail<B>());
       EXPECT_LT(expected.Local(after.back()).norm(), 1e-6);
     }
@@ -160,7 +160,7 @@ TYPED_TEST(IncrementalPointsTest, ClosedGateMovesOnlyTheNewPoses) {
 
 TYPED_TEST(IncrementalPointsTest, TheGuardNeverLetsChi2Rise) {
   int rises_without = 0;
-  for (std::uint64_t seed = 20; seed < 26; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(20, 25)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     const auto random = MakeGraph<TypeParam>(seed, 0.5, 25);
     for (const bool guard : {true, false}) {

@@ -28,7 +28,7 @@ Pose NotFinite() {
 }
 
 TYPED_TEST(IncrementalSolverTest, EqualsDenseAfterEveryStep) {
-  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 6)) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     Random rng(seed);
     testing::RandomGraphOptions options;
@@ -209,7 +209,7 @@ TYPED_TEST(IncrementalSolverTest, FixedPoseComesInLater) {
 
 // A wrong link must not throw the map to where no optimiser finds back from.
 TYPED_TEST(IncrementalSolverTest, WrongLinksDoNotMakeItDiverge) {
-  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 10)) {
     Random rng(seed);
     auto random = testing::MakeRandomGraph<TypeParam>(rng, {150, 0.3, 0.02});
     for (const auto& [i, j] : {std::pair{20, 90}, {5, 140}}) {

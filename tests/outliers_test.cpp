@@ -171,7 +171,7 @@ TYPED_TEST_SUITE(WrongLoopsInGraph, Groups);
 // later pose.
 TYPED_TEST(WrongLoopsInGraph, KeepsWhatIsThere) {
   using Pose = TypeParam;
-  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 5)) {
     Random rng(seed);
     testing::RandomGraphOptions options;
     options.poses = 80;

@@ -4,7 +4,6 @@
 
 #include <gtest/gtest.h>
 
-#include <Eigen/Eigenvalues>
 #include <limits>
 
 #include "terse/compact/uncertain_pose.h"
@@ -159,8 +158,7 @@ TYPED_TEST(PoseIndexTest, SpreadIsThatOfThePosition) {
   Random rng(5);
   const UncertainPose<Pose> T{testing::RandomMotion<Pose>(rng, 5, 1),
                               1e-4 * testing::RandomInformation<Pose::kDof>(rng)};
-  const Eigen::Matrix<double, Pose::kDof, Pose::kDof> L =
-      Eigen::Matrix<double, Pose::kDof, Pose::kDof>(T.covariance).llt().matrixL();
+  const typename Pose::Jacobian L = testing::CholeskyFactor(T.covariance);
   double sum = 0;
   constexpr int kSamples = 20000;
   for (int k = 0; k < kSamples; ++k) {

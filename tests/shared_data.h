@@ -5,14 +5,9 @@
 #include <optional>
 #include <string>
 
-namespace terse {
+#include "slow_build.h"
 
-// Sanitizers slow everything down fifty times: runs over whole data sets leave a part out in their builds.
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-constexpr bool kSlowBuild = true;
-#else
-constexpr bool kSlowBuild = false;
-#endif
+namespace terse {
 
 // The path of a file or folder there, if present.
 inline std::optional<std::string> SharedData(const std::string& relative) {

@@ -63,7 +63,7 @@ void ExpectSameBatch(const PoseGraph<Pose>& graph) {
 }
 
 TYPED_TEST(ThreadsTest, BatchIsTheSame) {
-  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
     testing::Random rng(seed);
     testing::RandomGraphOptions options;
     options.poses = seed == 1 ? 1000 : 200;

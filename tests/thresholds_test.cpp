@@ -66,7 +66,8 @@ class Recorder {
       least = std::min(least, Gain(T));
     }
     out_.pose_gains.push_back(least);
-    const typename Pose::Jacobian inverse = Sigma_y_.inverse(), information = (inverse + inverse.transpose()) / 2;
+    const typename Pose::Jacobian inverse = testing::Inverse(Sigma_y_),
+                                  information = (inverse + inverse.transpose()) / 2;
     while (!left.empty()) {
       std::vector<double> gains;
       for (const PoseId loop : left) gains.push_back(Gain(Seen(graph, points, loop, input.id)));

@@ -80,8 +80,7 @@ TYPED_TEST(UncertainPoseTest, ComposedCovarianceMatchesSampling) {
   Random rng(3);
   const auto a = RandomUncertain<Pose>(rng, 0.005), b = RandomUncertain<Pose>(rng, 0.005);
   const auto ab = Compose(a, b);
-  const Eigen::MatrixXd La = Eigen::MatrixXd(a.covariance).llt().matrixL(),
-                        Lb = Eigen::MatrixXd(b.covariance).llt().matrixL();
+  const typename Pose::Jacobian La = testing::CholeskyFactor(a.covariance), Lb = testing::CholeskyFactor(b.covariance);
   Matrix<N, N> covariance = Matrix<N, N>::Zero();
   for (int s = 0; s < kSamples; ++s) {
     const typename Pose::Tangent da = La * NormalVector<N>(rng), db = Lb * NormalVector<N>(rng);
@@ -98,8 +97,8 @@ TYPED_TEST(UncertainPoseTest, ComposedCovarianceMatchesSampling) {
 
 template <int N>
 Vector<N> Sample(const Matrix<N, N>& covariance, Random& rng) {
-  const Eigen::Matrix<double, N, N> aligned = covariance;
-  return aligned.llt().matrixL() * Eigen::Matrix<double, N, 1>(NormalVector<N>(rng));
+  const Matrix<N, N> L = testing::CholeskyFactor(covariance);
+  return L * NormalVector<N>(rng);
 }
 
 // Rotations that move far by turning, and errors of some tenths of a radian in all directions.
@@ -117,8 +116,7 @@ UncertainPose<Pose> FarAndUncertain(Random& rng, double radians) {
 // Relative to the truth: all eigenvalues are one if they agree.
 template <int N>
 Eigen::VectorXd RelativeEigenvalues(const Matrix<N, N>& covariance, const Matrix<N, N>& truth) {
-  const Eigen::MatrixXd a = covariance, b = truth;
-  return Eigen::GeneralizedSelfAdjointEigenSolver<Eigen::MatrixXd>(a, b, Eigen::EigenvaluesOnly).eigenvalues();
+  return testing::Eigenvalues(covariance, truth);
 }
 
 TYPED_TEST(UncertainPoseTest, FourthOrderIsCloserToSamples) {
@@ -204,9 +202,7 @@ TYPED_TEST(UncertainPoseTest, CompositionIsAlwaysACovariance) {
       for (const Matrix<N, N>& Sigma : {chain.covariance, RetractCovariance(chain)}) {
         ASSERT_TRUE(Sigma.allFinite());
         EXPECT_EQ(Sigma, Sigma.transpose());
-        const auto values =
-            Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(Eigen::MatrixXd(Sigma), Eigen::EigenvaluesOnly)
-                .eigenvalues();
+        const Eigen::VectorXd values = testing::Eigenvalues(Sigma);
         EXPECT_GE(values[0], -1e-12 * values[N - 1]);
       }
     }
@@ -256,7 +252,7 @@ TYPED_TEST(UncertainPoseTest, SeenFromEitherEnd) {
   const RelativePoseFactor<Pose> edge{PoseId{7}, PoseId{-3}, testing::RandomMotion<Pose>(rng, 2, 1),
                                       testing::RandomInformation<Pose::kDof>(rng, 100)};
   const auto forward = SeenFrom(PoseId{7}, edge), backward = SeenFrom(PoseId{-3}, edge);
-  ExpectEqual(forward, {edge.T_from_to, edge.information.inverse()});
+  ExpectEqual(forward, {edge.T_from_to, testing::Inverse(edge.information)});
   ExpectEqual(backward, Invert(forward));
   EXPECT_THROW((void)SeenFrom(PoseId{8}, edge), std::invalid_argument);
 }
@@ -264,7 +260,7 @@ TYPED_TEST(UncertainPoseTest, SeenFromEitherEnd) {
 template <int B>
 double DenseGain(const Matrix<B, B>& Sigma_d, const Matrix<B, B>& Sigma_y) {
   const Matrix<B, B> sum = Sigma_y + Sigma_d;
-  return (std::log(sum.determinant()) - std::log(Sigma_y.determinant())) / 2;
+  return (testing::LogDeterminant(sum) - testing::LogDeterminant(Sigma_y)) / 2;
 }
 
 TYPED_TEST(UncertainPoseTest, GainIsTheDifferenceOfLogDeterminants) {
@@ -289,7 +285,7 @@ TYPED_TEST(UncertainPoseTest, GainIsTheDifferenceOfLogDeterminants) {
 TYPED_TEST(UncertainPoseTest, GainIsWhatTheGraphGains) {
   using Pose = TypeParam;
   constexpr int B = Pose::kDof;
-  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 12)) {
     Random rng(seed);
     testing::RandomGraphOptions options;
     options.poses = 12;
@@ -307,11 +303,7 @@ TYPED_TEST(UncertainPoseTest, GainIsWhatTheGraphGains) {
         InformationGain<B>(marginals.Relative(poses[i].id, poses[j].id), SeenFrom(poses[i].id, link).covariance);
 
     const auto half_log_det = [&](const PoseGraph<Pose>& graph) {
-      return Eigen::MatrixXd(testing::MakeDenseSystem(graph, random.truth).H.llt().matrixL())
-          .diagonal()
-          .array()
-          .log()
-          .sum();
+      return testing::LogDeterminant(testing::MakeDenseSystem(graph, random.truth).H) / 2;
     };
     PoseGraph<Pose> with_link = random.graph;
     with_link.AddFactor(link);
