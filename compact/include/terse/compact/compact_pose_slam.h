@@ -132,7 +132,8 @@ class CompactPoseSlam {
   void CheckPose(const CompactInput<Pose>& input) const;
   void CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
                   const Registration<Pose>& registration);
-  bool TryLink(Evaluated& candidate, const RelativePoseFactor<Pose>& link) const;
+  bool TryLink(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
+               Candidate& record);
   void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
   void Judge(const Current& current, Decision& decision) const;
   std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links);
