@@ -432,7 +432,7 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
   decision.to = carried.to;
   decision.accepted = TryLink(nullptr, Between(carried.from, carried.to), SeenFrom(carried.from, carried), record);
   decision.gain = *record.measured_gain;
-  decision.innovation = record.innovation.value_or(0);
+  decision.innovation = record.innovation;
   decision.outlier = record.outlier;
   if (decision.accepted) {
     GraphUpdate<Pose> update;
