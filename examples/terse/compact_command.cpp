@@ -1,12 +1,10 @@
 #include <cmath>
 #include <iostream>
-#include <limits>
 
 #include "commands.h"
 #include "compact_output.h"
 #include "compact_run.h"
 #include "covariance_output.h"
-#include "progress.h"
 #include "report.h"
 #include "terse/compact/thresholds.h"
 #include "terse/core/atomic_file.h"
@@ -69,21 +67,8 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   if (!from.thresholds.empty()) {
     ReadThresholds(from.thresholds, options);
   } else if (from.auto_thresholds || (!complete && from.strategy != Strategy::kApal)) {
-    Progress progress("sample", 0, from.quiet);
-    SampleOptions sample;
-    sample.probability = options.probability;
-    sample.distance = options.distance;
-    sample.innovation_quantile = options.innovation_quantile;
-    if (from.sample) {
-      sample.share = *from.sample;
-      sample.most_poses = std::numeric_limits<long>::max();
-    }
-    sample.progress = [&](long done, long) { progress.Update(done); };
     const double before = SecondsNow();
-    const Thresholds<Pose> chosen = SelectThresholds(graph, sample);
-    options.range = chosen.range;
-    options.min_loop_gain = chosen.min_loop_gain;
-    options.min_pose_gain = chosen.min_pose_gain;
+    const Thresholds<Pose> chosen = SampleThresholds(graph, from.sample, "sample", from.quiet, options);
     stats.more["sample"] = {{"poses", chosen.sample_poses},
                             {"loop_gain_90", chosen.loop_gain_90},
                             {"pose_gain_90", chosen.pose_gain_90},

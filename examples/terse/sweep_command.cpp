@@ -93,7 +93,7 @@ Sweep RunSweep(const PoseGraph<Pose>& graph, const SweepOptions& options) {
   // What the scale 1 stands for.
   CompactOptions<Pose> base;
   if (options.thresholds.empty()) {
-    base = SampleSettings(graph, options.sample, "sample", options.quiet);
+    SampleThresholds(graph, options.sample, "sample", options.quiet, base);
   } else {
     ReadThresholds(options.thresholds, base);
   }
