@@ -113,6 +113,8 @@ TEST_F(CompactTable, AgreesWithItselfOnTheEllipse) {
   EXPECT_EQ(row["reference"], "exact");
   EXPECT_EQ(row["poses"], 170);
   const int links = row["links"];
+  ExpectFailure("table compact . --sample nan", 2, "--sample");
+  ExpectFailure("table compact . --seed -1", 2, "-1 is not a whole number");
   EXPECT_EQ(row["recovery"]["v2"], row["fpfl"]["errors"]);
   EXPECT_NE(row["recovery"]["v0"], row["recovery"]["v2"]);
   EXPECT_EQ(row["thresholds"]["range"].size(), 4u);
