@@ -135,7 +135,7 @@ struct Course {
     slam.distance.angle = AngleMeasure::kRotation;
     slam.distance.view_axis = {1, 0, 0};
     slam.composition = CompositionOrder::kFourth;
-    slam.innovation_quantile = 0.5;  // so that correct links are refused, and agree with each other
+    slam.innovation_quantile = 0.5;
     slam.consensus = 2;
     slam.probability = 0.3;
     slam.solver.relinearize_interval = 3;
@@ -269,6 +269,29 @@ TYPED_TEST(CompactStateTest, ContinuesBitByBit) {
       EXPECT_GT(refused, 0) << "refused links are part of the state";
     }
     EXPECT_EQ(dropped > 0, setting.strategy == Strategy::kFpfl) << setting.name;
+  }
+}
+
+// What was refused before the run was saved supports what comes after.
+TEST(CompactStateConsensusTest, ContinuesBitByBit) {
+  for (std::size_t saved_at = 20; saved_at < 25; ++saved_at) {
+    SCOPED_TRACE(saved_at);
+    const testing::SlippingCircle course;
+    CompactPoseSlam<SE2> running(course.options);
+    std::optional<CompactPoseSlam<SE2>> resumed;
+    int refused_before = 0, supported_after = 0;
+    for (std::size_t k = 0; k < course.inputs.size(); ++k) {
+      if (k == saved_at) resumed.emplace(SavedAndLoaded(running));
+      const Decision decision = running.AddPose(course.inputs[k], course.registration);
+      if (k < saved_at) refused_before += decision.links_refused;
+      if (!resumed) continue;
+      ASSERT_EQ(Fields(resumed->AddPose(course.inputs[k], course.registration)), Fields(decision)) << k;
+      for (const Candidate& c : decision.candidates) supported_after += c.supported ? 1 : 0;
+      ExpectSameBits(running, *resumed);
+    }
+    EXPECT_EQ(refused_before > 0, saved_at > 20);
+    EXPECT_GT(supported_after, 0);
+    EXPECT_TRUE(SavedButTimes(running) == SavedButTimes(*resumed));
   }
 }
 

@@ -450,30 +450,11 @@ TYPED_TEST(InnovationTest, ARunHealsWhenAWrongLinkIsRemoved) {
 // Odometry that is off by far more than its covariance says makes every true loop fail; they agree with each other.
 TEST(ConsensusTest, LetsTrueLoopsInWhenTheMapIsOff) {
   const auto run = [](int consensus) {
-    CompactOptions<SE2> options;
-    options.strategy = Strategy::kApfl;
-    options.range = Vector<3>(5, 5, 4);
-    options.min_loop_gain = 0.1;
-    options.link_covariance = 1e-4 * Matrix<3, 3>::Identity();
-    options.consensus = consensus;
-    auto slam = std::make_unique<CompactPoseSlam<SE2>>(options);
-    const Matrix<3, 3> information = 1e4 * Matrix<3, 3>::Identity();
-    const SE2 step(1, 0, 2 * M_PI / 20);
+    const testing::SlippingCircle course(consensus);
+    CompactPoseSlam<SE2> slam(course.options);
     std::pair<int, int> refused_supported{0, 0};
-    std::vector<SE2> truth = {SE2()};
-    slam->AddPose({PoseId{0}, std::nullopt, {}, false, {}, {}, false}, nullptr);
-    for (int k = 1; k < 30; ++k) {
-      truth.push_back(truth.back() * step);
-      CompactInput<SE2> input;
-      input.id = PoseId{k};
-      // One step slips by three metres.
-      input.odometry =
-          RelativePoseFactor<SE2>{PoseId{k - 1}, PoseId{k}, k == 10 ? step * SE2(3, 0, 0) : step, information};
-      const auto decision = slam->AddPose(input, [&](PoseId i, PoseId n) -> std::optional<RelativePoseFactor<SE2>> {
-        if (n.value - i.value != 20) return std::nullopt;
-        const SE2 T = truth[static_cast<std::size_t>(i.value)].Inverse() * truth[static_cast<std::size_t>(n.value)];
-        return RelativePoseFactor<SE2>{i, n, T, information};
-      });
+    for (const auto& input : course.inputs) {
+      const Decision decision = slam.AddPose(input, course.registration);
       refused_supported.first += decision.links_refused;
       for (const Candidate& c : decision.candidates) refused_supported.second += c.supported ? 1 : 0;
     }
