@@ -8,6 +8,7 @@
 #include "compact_figures.h"
 #include "compact_table.h"
 #include "compact_table_text.h"
+#include "document.h"
 #include "report.h"
 #include "terse/core/error.h"
 #include "text_table.h"
