@@ -48,6 +48,8 @@ RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose
   return {from, to, T_from_to.T_a_b, (information + information.transpose()) / 2};
 }
 
+bool IsRefused(const Candidate& link) { return link.outlier && !link.supported; }
+
 }  // namespace
 
 const char* Name(Strategy strategy) {
@@ -169,17 +171,22 @@ std::optional<RelativePoseFactor<Pose>> CompactPoseSlam<Pose>::Register(const Re
   return link;
 }
 
-// The gain and innovation of a registered link; false if it is not to be added.
+// The gain and innovation of a registered link between record.id and the pose at hand, or two poses seen before
+// (`current` absent); whether it is to be added. An outlier may be supported by other links of the pose at hand; if it
+// is not, it may support a later one.
 template <class Pose>
-bool CompactPoseSlam<Pose>::TryLink(Evaluated& candidate, const RelativePoseFactor<Pose>& link) const {
-  Candidate& record = candidate.record;
-  const UncertainPose<Pose> measured = SeenFrom(record.id, link);
-  record.measured_gain = InformationGain<Pose::kDof>(candidate.T_pose_current.covariance, measured.covariance);
+bool CompactPoseSlam<Pose>::TryLink(const Current* current, const UncertainPose<Pose>& known,
+                                    const UncertainPose<Pose>& measured, Candidate& record) {
+  record.measured_gain = InformationGain<Pose::kDof>(known.covariance, measured.covariance);
   if (options_.innovation_quantile) {
-    record.innovation = InnovationDistance(candidate.T_pose_current, measured);
+    record.innovation = InnovationDistance(known, measured);
     record.outlier = !(*record.innovation <= most_innovation_);
   }
-  return !record.outlier && *record.measured_gain > options_.min_loop_gain;
+  if (record.outlier && current != nullptr) {
+    record.supported = IsSupported(*current, record.id, measured);
+    if (!record.supported) RememberRefused(*current, record.id, measured);
+  }
+  return !IsRefused(record) && *record.measured_gain > options_.min_loop_gain;
 }
 
 // Algorithm 1, lines 6-17: best first, the rest evaluated again after every accepted link.
@@ -200,16 +207,8 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>&
     ++decision.registrations_tried;
     const auto link = Register(registration, best->record.id, current.input->id);
     if (!link) continue;
-    bool good = TryLink(*best, *link);
-    if (best->record.outlier) {
-      const UncertainPose<Pose> measured = SeenFrom(best->record.id, *link);
-      best->record.supported = IsSupported(current, best->record.id, measured);
-      if (!best->record.supported) {
-        RememberRefused(current, best->record.id, measured);
-        ++decision.links_refused;
-      }
-      good = best->record.supported && *best->record.measured_gain > options_.min_loop_gain;
-    }
+    const bool good = TryLink(&current, best->T_pose_current, SeenFrom(best->record.id, *link), best->record);
+    if (IsRefused(best->record)) ++decision.links_refused;
     if (!good) continue;
     best->record.accepted = true;
     ++decision.links_accepted;
@@ -426,16 +425,15 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
     throw std::invalid_argument("poses " + std::to_string(link.from.value) + " and " + std::to_string(link.to.value) +
                                 " hang on the same kept pose");
   }
-  Evaluated evaluated;
-  evaluated.T_pose_current = Between(carried.from, carried.to);
-  evaluated.record.id = carried.from;
+  Candidate record;
+  record.id = carried.from;
   LinkDecision decision;
   decision.from = carried.from;
   decision.to = carried.to;
-  decision.accepted = TryLink(evaluated, carried);
-  decision.gain = *evaluated.record.measured_gain;
-  decision.innovation = evaluated.record.innovation.value_or(0);
-  decision.outlier = evaluated.record.outlier;
+  decision.accepted = TryLink(nullptr, Between(carried.from, carried.to), SeenFrom(carried.from, carried), record);
+  decision.gain = *record.measured_gain;
+  decision.innovation = record.innovation;
+  decision.outlier = record.outlier;
   if (decision.accepted) {
     GraphUpdate<Pose> update;
     update.factors.push_back(carried);

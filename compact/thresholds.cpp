@@ -94,14 +94,15 @@ class LoopGains {
 template <class Pose>
 bool RemoveRefused(const LoopGains<Pose>& known, double most_innovation, std::vector<PoseId>& linked,
                    std::vector<RelativePoseFactor<Pose>>& links) {
+  if (!std::isfinite(most_innovation)) return false;
   std::size_t good = 0;
-  for (std::size_t k = 0; k < links.size() && std::isfinite(most_innovation); ++k) {
+  for (std::size_t k = 0; k < links.size(); ++k) {
     const UncertainPose<Pose> measured = SeenFrom(linked[k], links[k]);
     if (!(InnovationDistance(known.Displacement(static_cast<int>(k)), measured) <= most_innovation)) continue;
     linked[good] = linked[k];
     links[good++] = links[k];
   }
-  if (!std::isfinite(most_innovation) || good == links.size()) return false;
+  if (good == links.size()) return false;
   linked.resize(good);
   links.resize(good);
   return true;
@@ -133,6 +134,72 @@ void RecordLoopGains(LoopGains<Pose>& known, int loops, const typename Pose::Jac
   }
 }
 
+double MostInnovation(const SampleOptions& options, int dof) {
+  return options.innovation_quantile ? ChiSquareQuantile(*options.innovation_quantile, dof)
+                                     : std::numeric_limits<double>::infinity();
+}
+
+// A run with all poses and links, and what its loops would have told.
+template <class Pose>
+class Sample {
+ public:
+  Sample(const SampleOptions& options, GraphReplay<Pose>& replay)
+      : options_(options),
+        most_innovation_(MostInnovation(options, Pose::kDof)),
+        Sigma_y_(replay.LinkCovariance()),
+        registration_(replay.AsRegistration()),
+        slam_(All()) {}
+
+  void Add(const CompactInput<Pose>& input) {
+    std::vector<PoseId> linked = *input.linkable;
+    std::vector<RelativePoseFactor<Pose>> links;
+    for (const PoseId id : linked) links.push_back(*registration_(id, input.id));
+    if (input.odometry) Learn(input, linked, links);
+    CompactInput<Pose> agreed = input;
+    agreed.linkable = linked;
+    auto next = links.begin();  // kApal asks in their order
+    slam_.AddPose(agreed, [&](PoseId, PoseId) { return *next++; });
+  }
+
+  Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Zero();
+  std::vector<double> loop_gains, pose_gains;
+
+ private:
+  static CompactOptions<Pose> All() {
+    CompactOptions<Pose> options;
+    options.strategy = Strategy::kApal;
+    return options;
+  }
+
+  // Takes out the links that are refused.
+  void Learn(const CompactInput<Pose>& input, std::vector<PoseId>& linked,
+             std::vector<RelativePoseFactor<Pose>>& links) {
+    const PoseId base = input.odometry->from == input.id ? input.odometry->to : input.odometry->from;
+    const UncertainPose<Pose> T_base_n = SeenFrom(base, *input.odometry);
+    LoopGains<Pose> known(marginals_, slam_.Solver(), base, T_base_n, linked);
+    if (RemoveRefused(known, most_innovation_, linked, links)) {
+      known = LoopGains<Pose>(marginals_, slam_.Solver(), base, T_base_n, linked);
+    }
+    const int loops = static_cast<int>(links.size());
+    double least = InformationGain<Pose::kDof>(T_base_n.covariance, Sigma_y_);
+    for (int i = 0; i < loops; ++i) {
+      const UncertainPose<Pose> T_loop_n = known.Displacement(i);
+      const auto displacement = ComputeDisplacement<Pose>(T_loop_n, options_.distance);
+      range = range.cwiseMax(LeastRange<Pose>(displacement, options_.probability));
+      least = std::min(least, InformationGain<Pose::kDof>(T_loop_n.covariance, Sigma_y_));
+    }
+    pose_gains.push_back(least);
+    RecordLoopGains(known, loops, Sigma_y_, loop_gains);
+  }
+
+  const SampleOptions& options_;
+  const double most_innovation_;
+  const typename Pose::Jacobian Sigma_y_;
+  Registration<Pose> registration_;
+  CompactPoseSlam<Pose> slam_;
+  IncrementalMarginals<Pose> marginals_{slam_.Solver()};
+};
+
 }  // namespace
 
 template <class Pose>
@@ -140,58 +207,22 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   if (!(options.share > 0 && options.share <= 1) || !(options.probability >= 0 && options.probability < 1)) {
     throw std::invalid_argument("sample options: the share must be in (0, 1], the probability in [0, 1)");
   }
-  const double most_innovation = options.innovation_quantile
-                                     ? ChiSquareQuantile(*options.innovation_quantile, Pose::kDof)
-                                     : std::numeric_limits<double>::infinity();
   if (options.most_poses < 1) throw std::invalid_argument("sample options: at least one pose is needed");
   GraphReplay<Pose> replay(graph);
-  CompactOptions<Pose> everything;
-  everything.strategy = Strategy::kApal;
-  const typename Pose::Jacobian Sigma_y = replay.LinkCovariance();
-  CompactPoseSlam<Pose> slam(everything);
-  const IncrementalMarginals<Pose> marginals(slam.Solver());
+  Sample<Pose> sample(options, replay);
+  const auto& inputs = replay.Inputs();
   Thresholds<Pose> out;
   out.probability = options.probability;
-  out.link_covariance = Sigma_y;
-  out.range.setZero();
-  std::vector<double> loop_gains, pose_gains;
-  const auto& inputs = replay.Inputs();
-  const Registration<Pose> edges = replay.AsRegistration();
-  const long sample = std::min(options.most_poses, std::lround(options.share * static_cast<double>(inputs.size())));
-  out.sample_poses = sample;
-  for (long k = 0; k < sample; ++k) {
-    const CompactInput<Pose>& input = inputs[static_cast<std::size_t>(k)];
-    std::vector<PoseId> linked = *input.linkable;
-    std::vector<RelativePoseFactor<Pose>> links;
-    for (const PoseId id : linked) links.push_back(*edges(id, input.id));
-    if (k > 0) {
-      const PoseId base = input.odometry->from == input.id ? input.odometry->to : input.odometry->from;
-      const UncertainPose<Pose> T_base_n = SeenFrom(base, *input.odometry);
-      LoopGains<Pose> known(marginals, slam.Solver(), base, T_base_n, linked);
-      if (RemoveRefused(known, most_innovation, linked, links)) {
-        known = LoopGains<Pose>(marginals, slam.Solver(), base, T_base_n, linked);
-      }
-      const int loops = static_cast<int>(links.size());
-      double least = InformationGain<Pose::kDof>(T_base_n.covariance, Sigma_y);
-      for (int i = 0; i < loops; ++i) {
-        const UncertainPose<Pose> T_loop_n = known.Displacement(i);
-        const auto displacement = ComputeDisplacement<Pose>(T_loop_n, options.distance);
-        out.range = out.range.cwiseMax(LeastRange<Pose>(displacement, options.probability));
-        least = std::min(least, InformationGain<Pose::kDof>(T_loop_n.covariance, Sigma_y));
-      }
-      pose_gains.push_back(least);
-      RecordLoopGains(known, loops, Sigma_y, loop_gains);
-    }
-    CompactInput<Pose> agreed = input;
-    agreed.linkable = linked;
-    auto next = links.begin();  // kApal asks in their order
-    slam.AddPose(agreed, [&](PoseId, PoseId) { return *next++; });
-    if (options.progress) options.progress(k + 1, sample);
+  out.link_covariance = replay.LinkCovariance();
+  out.sample_poses = std::min(options.most_poses, std::lround(options.share * static_cast<double>(inputs.size())));
+  for (long k = 0; k < out.sample_poses; ++k) {
+    sample.Add(inputs[static_cast<std::size_t>(k)]);
+    if (options.progress) options.progress(k + 1, out.sample_poses);
   }
-  out.range = out.range.cwiseMax(replay.LinkRange(options.distance));
+  out.range = sample.range.cwiseMax(replay.LinkRange(options.distance));
   out.range.template head<Pose::kDim>().setConstant(out.range.template head<Pose::kDim>().maxCoeff());
-  out.loop_gain_90 = Percentile90(loop_gains);
-  out.pose_gain_90 = Percentile90(pose_gains);
+  out.loop_gain_90 = Percentile90(sample.loop_gains);
+  out.pose_gain_90 = Percentile90(sample.pose_gains);
   out.min_loop_gain =
       std::clamp(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof, kMostLoopGain * Pose::kDof);
   out.min_pose_gain =

@@ -353,6 +353,10 @@ TEST_F(CompactCommand, OptionsThatContradictEachOther) {
   ExpectFailure(run + "--sample 0", 2, "--sample");
   ExpectFailure(run + "--innovation-quantile 1", 2, "--innovation-quantile");
   ExpectFailure(run + "--innovation-quantile 0", 2, "--innovation-quantile");
+  for (const std::string option : {"innovation-quantile", "sample", "probability", "min-loop-gain", "min-pose-gain"}) {
+    ExpectFailure(run + "--" + option + " nan", 2, "--" + option);
+  }
+  ExpectFailure(run + "--seed -1", 2, "-1 is not a whole number");
   ExpectFailure(run + "--composition third", 2, "third");
   ExpectFailure(run + "--angle roll", 2, "roll");
   EXPECT_EQ(FileCount(), files);

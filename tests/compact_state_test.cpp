@@ -15,6 +15,7 @@ namespace terse {
 namespace {
 
 using testing::Bits;
+using testing::LoadError;
 using testing::Random;
 
 template <class Saved>
@@ -134,7 +135,7 @@ struct Course {
     slam.distance.angle = AngleMeasure::kRotation;
     slam.distance.view_axis = {1, 0, 0};
     slam.composition = CompositionOrder::kFourth;
-    slam.innovation_quantile = 0.5;  // so that correct links are refused, and agree with each other
+    slam.innovation_quantile = 0.5;
     slam.consensus = 2;
     slam.probability = 0.3;
     slam.solver.relinearize_interval = 3;
@@ -271,6 +272,29 @@ TYPED_TEST(CompactStateTest, ContinuesBitByBit) {
   }
 }
 
+// What was refused before the run was saved supports what comes after.
+TEST(CompactStateConsensusTest, ContinuesBitByBit) {
+  for (std::size_t saved_at = 20; saved_at < 25; ++saved_at) {
+    SCOPED_TRACE(saved_at);
+    const testing::SlippingCircle course;
+    CompactPoseSlam<SE2> running(course.options);
+    std::optional<CompactPoseSlam<SE2>> resumed;
+    int refused_before = 0, supported_after = 0;
+    for (std::size_t k = 0; k < course.inputs.size(); ++k) {
+      if (k == saved_at) resumed.emplace(SavedAndLoaded(running));
+      const Decision decision = running.AddPose(course.inputs[k], course.registration);
+      if (k < saved_at) refused_before += decision.links_refused;
+      if (!resumed) continue;
+      ASSERT_EQ(Fields(resumed->AddPose(course.inputs[k], course.registration)), Fields(decision)) << k;
+      for (const Candidate& c : decision.candidates) supported_after += c.supported ? 1 : 0;
+      ExpectSameBits(running, *resumed);
+    }
+    EXPECT_EQ(refused_before > 0, saved_at > 20);
+    EXPECT_GT(supported_after, 0);
+    EXPECT_TRUE(SavedButTimes(running) == SavedButTimes(*resumed));
+  }
+}
+
 // Options included, and a run without a pose.
 TYPED_TEST(CompactStateTest, BeforeTheFirstPose) {
   const Course<TypeParam> course(kSettings[3], 4, 10);
@@ -305,18 +329,6 @@ TYPED_TEST(CompactStateTest, FailuresLeaveTheStateAsItWas) {
 
 // Files that must be refused -------------------------------------------------------------------------------------
 
-template <class Pose>
-std::string LoadError(const std::string& path) {
-  try {
-    CompactPoseSlam<Pose>::Load(path);
-  } catch (const FileError& error) {
-    EXPECT_EQ(error.path(), path);
-    EXPECT_EQ(std::string(error.what()).rfind(path + ": ", 0), 0u) << error.what();
-    return error.cause();
-  }
-  return "";
-}
-
 CompactPoseSlam<SE2> SmallRun() {
   Course<SE2> course(kSettings[0], 6, 8);
   CompactPoseSlam<SE2> slam(course.slam);
@@ -329,12 +341,12 @@ TEST(CompactStateErrorTest, TruncatedAtEveryLength) {
   const std::string whole = SavedBytes(SmallRun());
   for (std::size_t length = 0; length < whole.size(); length += length < 100 ? 1 : 5) {
     const TestFile file("truncated.state", whole.substr(0, length));
-    const std::string error = LoadError<SE2>(file.Path());
+    const std::string error = LoadError<CompactPoseSlam<SE2>>(file.Path());
     const char* expected = length == 0 ? "empty" : length < 8 ? "not a saved state" : "truncated";
     ASSERT_NE(error.find(expected), std::string::npos) << length << " bytes: " << error;
   }
   const TestFile longer("longer.state", whole + "x");
-  EXPECT_NE(LoadError<SE2>(longer.Path()).find("too long"), std::string::npos);
+  EXPECT_NE(LoadError<CompactPoseSlam<SE2>>(longer.Path()).find("too long"), std::string::npos);
 }
 
 TEST(CompactStateErrorTest, AFlippedBit) {
@@ -343,7 +355,7 @@ TEST(CompactStateErrorTest, AFlippedBit) {
     std::string flipped = whole;
     flipped[at] = static_cast<char>(flipped[at] ^ (1 << (at % 8)));
     const TestFile file("flipped.state", flipped);
-    ASSERT_NE(LoadError<SE2>(file.Path()), "") << "byte " << at;
+    ASSERT_NE(LoadError<CompactPoseSlam<SE2>>(file.Path()), "") << "byte " << at;
   }
 }
 
@@ -351,7 +363,7 @@ TEST(CompactStateErrorTest, ForeignFiles) {
   const auto slam = SmallRun();
   const auto expect = [](const std::string& content, const std::string& cause) {
     const TestFile file("foreign.state", content);
-    const std::string error = LoadError<SE3>(file.Path());
+    const std::string error = LoadError<CompactPoseSlam<SE3>>(file.Path());
     EXPECT_NE(error.find(cause), std::string::npos) << error;
   };
   const std::string whole = SavedBytes(slam);
@@ -360,8 +372,8 @@ TEST(CompactStateErrorTest, ForeignFiles) {
   expect(SavedBytes(IncrementalSolver<SE3>()), "holds a state of kind \"incremental solver SE3\"");
   const TestFile file("other.state", whole);
   EXPECT_THROW(IncrementalSolver<SE2>::Load(file.Path()), FileError);
-  EXPECT_NE(LoadError<SE3>("/no/such/folder/x.state").find("does not exist"), std::string::npos);
-  EXPECT_NE(LoadError<SE3>(::testing::TempDir()).find("folder"), std::string::npos);
+  EXPECT_NE(LoadError<CompactPoseSlam<SE3>>("/no/such/folder/x.state").find("does not exist"), std::string::npos);
+  EXPECT_NE(LoadError<CompactPoseSlam<SE3>>(::testing::TempDir()).find("folder"), std::string::npos);
   for (const char* path : {"/no/such/folder/x.state", ""}) EXPECT_THROW(slam.Save(path), FileError) << path;
 }
 

@@ -201,6 +201,23 @@ TEST_F(OnlineCommand, AnswersAtOnceAndTakesLinksOut) {
   EXPECT_NEAR(rest[0]["estimate"][0].get<double>(), 18, 1e-3);
 }
 
+TEST_F(OnlineCommand, ARobustKernelLeavesOutWhatNothingTested) {
+  std::string input;
+  for (int k = 0; k < 5; ++k) {
+    input += "EDGE_SE2 " + std::to_string(k) + ' ' + std::to_string(k + 1) + " 1 0 0 100 0 0 100 0 100\n";
+  }
+  input += "EDGE_SE2 0 5 3 0 0 100 0 0 100 0 100\n";  // two metres short
+  const auto last = [&](const std::string& options) {
+    const json answer = Answers(input, "online --range 10 10 1.5 --strategy apfl --min-loop-gain 0 " + options).back();
+    EXPECT_EQ(answer["links"].size(), 1u);
+    EXPECT_EQ(answer["links"][0]["innovation"].is_null(), options.find("--no-innovation-test") == 0);
+    return answer["estimate"][0].get<double>();
+  };
+  EXPECT_LT(last("--no-innovation-test"), 4);
+  EXPECT_NEAR(last("--no-innovation-test --robust gnc"), 5, 1e-6);
+  EXPECT_NEAR(last("--innovation-quantile 0.99"), 5, 1e-6);
+}
+
 TEST_F(OnlineCommand, BadLinesAreAnsweredAndChangeNothing) {
   const auto lines = Measurements(40);
   const std::string good = Join(lines, 0, lines.size());
@@ -241,6 +258,10 @@ TEST_F(OnlineCommand, TakesTheDimensionFromTheFirstMeasurement) {
   EXPECT_EQ(Succeed("online --strategy apal < empty").out, "");
   ExpectFailure("online < input", 2, "--range");
   ExpectFailure("online --range 1 1 1 --dimension 3 < input", 2, "X Y Z ANGLE");
+  ExpectFailure("online --range 1 1 1 --innovation-quantile nan < input", 2, "--innovation-quantile");
+  ExpectFailure("online --range 1 1 1 --innovation-quantile 1 < input", 2, "--innovation-quantile");
+  ExpectFailure("online --range 1 1 1 --innovation-quantile 0.5 --no-innovation-test < input", 2, "excludes");
+  ExpectFailure("online --range 1 1 1 --min-loop-gain nan < input", 2, "--min-loop-gain");
 }
 
 TEST_F(OnlineCommand, ReadsThresholds) {
@@ -351,6 +372,8 @@ TEST_F(OnlineCommand, RefusesOtherFilesAndOptions) {
   }
   Write("journal", whole);
   ExpectFailure(use + " --probability 0.2", 1, "probability is 0.1 there, 0.2 now");
+  ExpectFailure(use + " --robust dcs", 1, "robust is \"none\" there, \"dcs\" now");
+  ExpectFailure(use + " --no-innovation-test", 1, "innovation_quantile is 0.9999 there, null now");
   ExpectFailure("online --range 10 10 10 1.5 --journal journal < input", 1, "dimension is 2 there, 3 now");
   ExpectFailure(kOptions + "--journal . < input", 1, "regular file");
   EXPECT_EQ(Read("journal"), whole);

@@ -14,6 +14,7 @@
 #include "terse/core/initial_values.h"
 #include "terse/core/replay.h"
 #include "testing_incremental.h"
+#include "testing_scene.h"
 
 namespace terse {
 namespace {
@@ -369,8 +370,8 @@ TYPED_TEST(RobustTest, MisuseIsRefused) {
 // 30 % wrong loops on a public graph: the clean optimum stays where it is, online too.
 TEST(Robust, ManhattanWithWrongLoops) {
   TERSE_NEEDS(path, "graphs/2d/manhattan.g2o");
-  if (kSlowBuild) GTEST_SKIP() << "too slow with sanitizers";
   auto graph = std::get<PoseGraph<SE2>>(ReadGraph(path).graph);
+  if (kSlowBuild) graph = testing::FirstPoses(graph, 600);
   const auto clean = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kCompose));
   const auto loops = LoopFactors(graph);
   const auto information = std::get<RelativePoseFactor<SE2>>(graph.FindFactor(loops[0])->factor).information;

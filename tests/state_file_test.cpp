@@ -23,6 +23,7 @@ namespace {
 
 using testing::Bits;
 using testing::Bytes;
+using testing::LoadError;
 using testing::OnePosePerUpdate;
 using testing::Random;
 using testing::WithChecksum;
@@ -270,18 +271,6 @@ TYPED_TEST(StateFileTest, CovariancesAreThoseOfTheRunningSolver) {
   ASSERT_LT(testing::RelativeError(of_loaded.Newest(), kept.Newest()), 1e-7);
 }
 
-template <class Pose>
-std::string LoadError(const std::string& path) {
-  try {
-    IncrementalSolver<Pose>::Load(path);
-  } catch (const FileError& error) {
-    EXPECT_EQ(error.path(), path);
-    EXPECT_EQ(std::string(error.what()).rfind(path + ": ", 0), 0u) << error.what();
-    return error.cause();
-  }
-  return "";
-}
-
 std::string SmallState() {
   IncrementalSolver<SE2> solver;
   for (const auto& update : RandomUpdates<SE2>(3, 4)) solver.Update(update);
@@ -292,12 +281,12 @@ TEST(StateFileErrorTest, TruncatedAtEveryLength) {
   const std::string whole = SmallState();
   for (std::size_t length = 0; length < whole.size(); ++length) {
     const TestFile file("truncated.state", whole.substr(0, length));
-    const std::string error = LoadError<SE2>(file.Path());
+    const std::string error = LoadError<IncrementalSolver<SE2>>(file.Path());
     const char* expected = length == 0 ? "empty" : length < 8 ? "not a saved state" : "truncated";
     ASSERT_NE(error.find(expected), std::string::npos) << length << " bytes: " << error;
   }
   const TestFile file("longer.state", whole + "x");
-  EXPECT_NE(LoadError<SE2>(file.Path()).find("too long"), std::string::npos);
+  EXPECT_NE(LoadError<IncrementalSolver<SE2>>(file.Path()).find("too long"), std::string::npos);
 }
 
 TEST(StateFileErrorTest, AnyFlippedBit) {
@@ -306,7 +295,7 @@ TEST(StateFileErrorTest, AnyFlippedBit) {
     std::string flipped = whole;
     flipped[at] = static_cast<char>(flipped[at] ^ (1 << (at % 8)));
     const TestFile file("flipped.state", flipped);
-    ASSERT_NE(LoadError<SE2>(file.Path()), "") << "byte " << at;
+    ASSERT_NE(LoadError<IncrementalSolver<SE2>>(file.Path()), "") << "byte " << at;
   }
 }
 
@@ -346,7 +335,7 @@ TEST(StateFileErrorTest, NonsenseWithTheRightChecksum) {
 TEST(StateFileErrorTest, ForeignFiles) {
   const auto expect = [](const std::string& content, const std::string& cause) {
     const TestFile file("foreign.state", content);
-    const std::string error = LoadError<SE3>(file.Path());
+    const std::string error = LoadError<IncrementalSolver<SE3>>(file.Path());
     EXPECT_NE(error.find(cause), std::string::npos) << error;
   };
   const std::string whole = SmallState();
@@ -361,8 +350,8 @@ TEST(StateFileErrorTest, ForeignFiles) {
   const TestFile other("other.state");
   SaveState(other.Path(), "numbers", std::vector<int>{1, 2, 3});
   expect(other.Content(), "holds a state of kind \"numbers\"");
-  EXPECT_NE(LoadError<SE3>("/no/such/folder/x.state").find("does not exist"), std::string::npos);
-  EXPECT_NE(LoadError<SE3>(::testing::TempDir()).find("folder"), std::string::npos);
+  EXPECT_NE(LoadError<IncrementalSolver<SE3>>("/no/such/folder/x.state").find("does not exist"), std::string::npos);
+  EXPECT_NE(LoadError<IncrementalSolver<SE3>>(::testing::TempDir()).find("folder"), std::string::npos);
 }
 
 TEST(StateFileErrorTest, UnwritablePlaces) {

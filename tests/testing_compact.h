@@ -57,6 +57,40 @@ CompactRun<Pose> RunCompact(const PoseGraph<Pose>& graph, Strategy strategy, dou
   return RunCompact(replay, options);
 }
 
+// Once around a circle in twenty steps, and on over the first ten poses, each of which is linked to the one twenty
+// steps before. The tenth step slips by three metres, far more than its covariance says: every link is true, disagrees
+// with the map and agrees with the others.
+struct SlippingCircle {
+  explicit SlippingCircle(int consensus = 3) {
+    options.strategy = Strategy::kApfl;
+    options.range = Vector<3>(5, 5, 4);
+    options.min_loop_gain = 0.1;
+    options.link_covariance = 1e-4 * Matrix<3, 3>::Identity();
+    options.consensus = consensus;
+    const Matrix<3, 3> information = 1e4 * Matrix<3, 3>::Identity();
+    const SE2 step(1, 0, 2 * M_PI / 20);
+    std::vector<SE2> truth = {SE2()};
+    inputs.resize(30);
+    inputs[0].id = PoseId{0};
+    for (int k = 1; k < 30; ++k) {
+      truth.push_back(truth.back() * step);
+      CompactInput<SE2>& input = inputs[static_cast<std::size_t>(k)];
+      input.id = PoseId{k};
+      input.odometry =
+          RelativePoseFactor<SE2>{PoseId{k - 1}, PoseId{k}, k == 10 ? step * SE2(3, 0, 0) : step, information};
+    }
+    registration = [truth, information](PoseId i, PoseId n) -> std::optional<RelativePoseFactor<SE2>> {
+      if (n.value - i.value != 20) return std::nullopt;
+      const SE2 T = truth[static_cast<std::size_t>(i.value)].Inverse() * truth[static_cast<std::size_t>(n.value)];
+      return RelativePoseFactor<SE2>{i, n, T, information};
+    };
+  }
+
+  CompactOptions<SE2> options;
+  std::vector<CompactInput<SE2>> inputs;
+  Registration<SE2> registration;
+};
+
 template <class Pose>
 double Distance(const Pose& a, const Pose& b) {
   return (a.Inverse() * b).Log().norm();

@@ -1,9 +1,12 @@
 #pragma once
 // Bits of what saved states are made of and compared by.
 
+#include <gtest/gtest.h>
+
 #include <optional>
 #include <string>
 
+#include "terse/core/error.h"
 #include "terse/core/pose_graph.h"
 
 namespace terse::testing {
@@ -43,6 +46,19 @@ inline std::string Bits(const SE3& T) {
 template <class T>
 std::string Bits(const std::optional<T>& value) {
   return value ? "+" + Bits(*value) : "-";
+}
+
+// The cause that a file is refused for, "" if it is not.
+template <class State>
+std::string LoadError(const std::string& path) {
+  try {
+    State::Load(path);
+  } catch (const FileError& error) {
+    EXPECT_EQ(error.path(), path);
+    EXPECT_EQ(std::string(error.what()).rfind(path + ": ", 0), 0u) << error.what();
+    return error.cause();
+  }
+  return "";
 }
 
 }  // namespace terse::testing

@@ -7,6 +7,7 @@
 #include <algorithm>
 
 #include "terse/compact/information.h"
+#include "terse/core/outliers.h"
 #include "terse/covariance/marginals.h"
 #include "testing_compact.h"
 
@@ -178,6 +179,34 @@ TEST(ThresholdsScenes, AreThoseOfLinksReallyAdded) {
   ExpectAsRecorded(testing::WithoutNoise(testing::MakeScene<SE3>(Scene::kSphere, 120)), 0.9, 1e-5);
 }
 
+// Wrong loops that the innovation test refuses leave no trace in the thresholds but in LinkRange, which tests nothing.
+// Believed, they do.
+template <class Pose>
+void ExpectNoTraceOfWrongLoops(const testing::RandomGraph<Pose>& scene, double percent) {
+  const PoseGraph<Pose> clean = testing::WithoutNoise(scene);
+  const auto with = AddWrongLoops(clean, scene.truth, percent, 3);
+  ASSERT_GT(with.wrong.size(), 5u);
+  SampleOptions options;
+  options.share = 1;
+  const auto expected = SelectThresholds(clean, options), believed = SelectThresholds(with.graph, options);
+  options.innovation_quantile = 0.9999;
+  const auto same = SelectThresholds(clean, options), tested = SelectThresholds(with.graph, options);
+  EXPECT_TRUE(same.range == expected.range) << "of true loops none is refused";
+  EXPECT_EQ(same.loop_gain_90, expected.loop_gain_90);
+  EXPECT_EQ(same.pose_gain_90, expected.pose_gain_90);
+  Vector<Displacement<Pose>::kSize> range = expected.range.cwiseMax(GraphReplay<Pose>(with.graph).LinkRange());
+  range.template head<Pose::kDim>().setConstant(range.template head<Pose::kDim>().maxCoeff());
+  EXPECT_LT((tested.range - range).norm(), 1e-6 * range.norm());
+  EXPECT_NEAR(tested.loop_gain_90, expected.loop_gain_90, 1e-6 * expected.loop_gain_90);
+  EXPECT_NEAR(tested.pose_gain_90, expected.pose_gain_90, 1e-6 * expected.pose_gain_90);
+  EXPECT_GT(believed.range[0], 1.2 * range[0]);
+}
+
+TEST(ThresholdsScenes, WrongLoopsAreLeftOut) {
+  ExpectNoTraceOfWrongLoops(testing::MakeScene<SE2>(Scene::kManhattan, 150), 10);
+  ExpectNoTraceOfWrongLoops(testing::MakeScene<SE3>(Scene::kSphere, 120), 10);
+}
+
 // Odometry so good that gains are next to nothing, and so bad that they are large: both ends of the bounds.
 TYPED_TEST(ThresholdsTest, AreBounded) {
   using Pose = TypeParam;
@@ -247,6 +276,9 @@ TYPED_TEST(ThresholdsTest, MisuseIsRefused) {
   refuse(graph, [](auto& o) { o.probability = 1; });
   refuse(graph, [](auto& o) { o.probability = -1; });
   refuse(graph, [](auto& o) { o.most_poses = 0; });
+  refuse(graph, [](auto& o) { o.innovation_quantile = 1; });
+  refuse(graph, [](auto& o) { o.innovation_quantile = -0.1; });
+  refuse(graph, [](auto& o) { o.innovation_quantile = std::numeric_limits<double>::quiet_NaN(); });
   PoseGraph<TypeParam> apart;
   refuse(apart, [](auto&) {});
   apart.AddPose(PoseId{1});

@@ -5,8 +5,10 @@
 #include <CLI/App.hpp>
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
+#include <cstdint>
 #include <functional>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "terse/core/graph_file.h"
 #include "terse/core/robust.h"
@@ -30,6 +32,20 @@ void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
 
 // --robust and --robust-width, for every subcommand that optimises.
 void AddRobustOptions(CLI::App& subcommand, RobustOptions& options);
+
+// --innovation-quantile and --no-innovation-test (absent), for every subcommand that tests links.
+void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile);
+
+// --sample: the share of the poses that thresholds are chosen from.
+CLI::Option* AddSampleOption(CLI::App& subcommand, std::optional<double>& share);
+
+// --seed.
+void AddSeedOption(CLI::App& subcommand, std::uint64_t& seed, const std::string& description);
+
+// Checks of an option's value that refuse nan, which CLI's own let pass.
+CLI::Validator NumberIn(double low, double high);
+CLI::Validator PositiveNumber();
+CLI::Validator NonNegativeNumber();
 
 // Warnings on standard error: lines that were skipped, matrices that --repair-information clamped.
 void ReportRepairs(const GraphFile& file, const std::string& path);

@@ -1,9 +1,11 @@
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <iostream>
 
 #include "commands.h"
 #include "policy.h"
+#include "terse/core/atomic_file.h"
 
 namespace terse {
 namespace {
@@ -44,13 +46,71 @@ void AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {
           "--robust-width", options.width,
           "Where the kernel sets in, in standard deviations: the norm of the whitened residual (by default what "
           "one true loop in a hundred exceeds)")
-      ->check([](const std::string& text) -> std::string {
-        double width = 0;
-        if (CLI::detail::lexical_cast(text, width) && width > 0 && std::isfinite(width)) return "";
-        return text + " is not a positive number";
-      })
+      ->check(PositiveNumber())
       ->needs(kernel)
       ->type_name("X");
+}
+
+void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile) {
+  CLI::Option* option =
+      subcommand
+          .add_option("--innovation-quantile", quantile,
+                      "A link is refused whose innovation a correct one exceeds with less than the remaining "
+                      "probability")
+          ->check(NumberIn(1e-9, 0.99999999))
+          ->type_name("Q")
+          ->default_str("0.9999");
+  subcommand
+      .add_flag_callback(
+          "--no-innovation-test", [&quantile] { quantile.reset(); }, "Take every link that is informative")
+      ->excludes(option);
+}
+
+CLI::Option* AddSampleOption(CLI::App& subcommand, std::optional<double>& share) {
+  return subcommand
+      .add_option("--sample", share,
+                  "Share of the poses that the thresholds are chosen from, instead of 0.6 but 5000 poses at most")
+      ->check(NumberIn(1e-9, 1))
+      ->type_name("SHARE");
+}
+
+void AddSeedOption(CLI::App& subcommand, std::uint64_t& seed, const std::string& description) {
+  subcommand.add_option("--seed", seed, description)
+      ->check([](const std::string& text) -> std::string {
+        std::uint64_t value = 0;
+        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+        if (error == std::errc() && end == text.data() + text.size()) return "";
+        return text + " is not a whole number from 0 to 2^64 - 1";
+      })
+      ->type_name("N")
+      ->capture_default_str();
+}
+
+CLI::Validator NumberIn(double low, double high) {
+  const auto find_defect = [low, high](const std::string& text) -> std::string {
+    double value = 0;
+    if (CLI::detail::lexical_cast(text, value) && value >= low && value <= high) return "";
+    return text + " is not a number from " + Shortest(low) + " to " + Shortest(high);
+  };
+  return CLI::Validator(find_defect, "");
+}
+
+CLI::Validator PositiveNumber() {
+  const auto find_defect = [](const std::string& text) -> std::string {
+    double value = 0;
+    if (CLI::detail::lexical_cast(text, value) && value > 0 && std::isfinite(value)) return "";
+    return text + " is not a positive number";
+  };
+  return CLI::Validator(find_defect, "");
+}
+
+CLI::Validator NonNegativeNumber() {
+  const auto find_defect = [](const std::string& text) -> std::string {
+    double value = 0;
+    if (CLI::detail::lexical_cast(text, value) && value >= 0 && std::isfinite(value)) return "";
+    return text + " is neither 0 nor a positive number";
+  };
+  return CLI::Validator(find_defect, "");
 }
 
 void ReportRepairs(const GraphFile& file, const std::string& path) {

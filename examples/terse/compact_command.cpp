@@ -1,12 +1,10 @@
 #include <cmath>
 #include <iostream>
-#include <limits>
 
 #include "commands.h"
 #include "compact_output.h"
 #include "compact_run.h"
 #include "covariance_output.h"
-#include "progress.h"
 #include "report.h"
 #include "terse/compact/thresholds.h"
 #include "terse/core/atomic_file.h"
@@ -46,12 +44,6 @@ void CheckRange(const PoseGraph<Pose>&, const CompactCommandOptions& options) {
                                             (kSize == 4 ? "X Y Z ANGLE" : "X Y ANGLE"));
 }
 
-std::string FindRangeDefect(const std::string& text) {
-  double value = 0;
-  if (CLI::detail::lexical_cast(text, value) && value > 0 && std::isfinite(value)) return "";
-  return text + " is not a positive number";
-}
-
 // What the user gave; the rest from a sample of the file.
 template <class Pose>
 CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay<Pose>& replay,
@@ -69,21 +61,8 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   if (!from.thresholds.empty()) {
     ReadThresholds(from.thresholds, options);
   } else if (from.auto_thresholds || (!complete && from.strategy != Strategy::kApal)) {
-    Progress progress("sample", 0, from.quiet);
-    SampleOptions sample;
-    sample.probability = options.probability;
-    sample.distance = options.distance;
-    sample.innovation_quantile = options.innovation_quantile;
-    if (from.sample) {
-      sample.share = *from.sample;
-      sample.most_poses = std::numeric_limits<long>::max();
-    }
-    sample.progress = [&](long done, long) { progress.Update(done); };
     const double before = SecondsNow();
-    const Thresholds<Pose> chosen = SelectThresholds(graph, sample);
-    options.range = chosen.range;
-    options.min_loop_gain = chosen.min_loop_gain;
-    options.min_pose_gain = chosen.min_pose_gain;
+    const Thresholds<Pose> chosen = SampleThresholds(graph, from.sample, "sample", from.quiet, options);
     stats.more["sample"] = {{"poses", chosen.sample_poses},
                             {"loop_gain_90", chosen.loop_gain_90},
                             {"pose_gain_90", chosen.pose_gain_90},
@@ -210,20 +189,20 @@ void AddCompactCommand(CLI::App& app) {
                    "Sensor range in metres and radians; by default chosen from the first 60 % of the file, as are "
                    "the gains")
       ->expected(3, 4)
-      ->check(FindRangeDefect)
+      ->check(PositiveNumber())
       ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
   command
       ->add_option("--probability", options->probability,
                    "Least probability of being in range, per dimension (0.1 unless a file says otherwise)")
-      ->check(CLI::Range(0.0, 0.999999).description(""))
+      ->check(NumberIn(0, 0.999999))
       ->type_name("S");
   command
       ->add_option("--min-pose-gain", options->min_pose_gain,
                    "A pose is kept above this gain (nats), or if a loop closes at it")
-      ->check(CLI::NonNegativeNumber.description(""))
+      ->check(NonNegativeNumber())
       ->type_name("G");
   command->add_option("--min-loop-gain", options->min_loop_gain, "A link is kept above this gain (nats)")
-      ->check(CLI::NonNegativeNumber.description(""))
+      ->check(NonNegativeNumber())
       ->type_name("G");
   CLI::Option* file =
       command
@@ -231,26 +210,9 @@ void AddCompactCommand(CLI::App& app) {
           ->type_name("FILE");
   CLI::Option* sampled = command->add_flag("--auto-thresholds", options->auto_thresholds,
                                            "Choose them from the first poses of the file, as if none were given");
-  command
-      ->add_option("--sample", options->sample,
-                   "Share of the poses they are chosen from, instead of 0.6 but 5000 poses at most")
-      ->check(CLI::Range(1e-9, 1.0).description(""))
-      ->type_name("SHARE")
-      ->excludes(file);
+  AddSampleOption(*command, options->sample)->excludes(file);
   file->excludes(sampled);
-  CLI::Option* quantile =
-      command
-          ->add_option("--innovation-quantile", options->innovation_quantile,
-                       "A link is refused whose innovation a correct one exceeds with less than the remaining "
-                       "probability")
-          ->check(CLI::Range(1e-9, 0.99999999).description(""))
-          ->type_name("Q")
-          ->default_str("0.9999");
-  command
-      ->add_flag_callback(
-          "--no-innovation-test", [options] { options->innovation_quantile.reset(); },
-          "Take every link that is informative")
-      ->excludes(quantile);
+  AddInnovationOptions(*command, options->innovation_quantile);
   AddRobustOptions(*command, options->robust);
   AddChoice(*command, "--composition", options->composition,
             {{"first", CompositionOrder::kFirst}, {"fourth", CompositionOrder::kFourth}},
@@ -258,7 +220,7 @@ void AddCompactCommand(CLI::App& app) {
   AddChoice(*command, "--angle", options->angle,
             {{"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation}},
             "The angle of the sensor range in 3D: between the view directions, or of the rotation");
-  command->add_option("--seed", options->seed, "Of --strategy rfpfl")->type_name("N")->capture_default_str();
+  AddSeedOption(*command, options->seed, "Of --strategy rfpfl");
   AddChoice(*command, "--recover", options->recovery,
             {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
             "How dropped poses come back: as first estimated, chained to the kept pose before them, or fitted between "

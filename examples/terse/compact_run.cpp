@@ -10,28 +10,24 @@
 namespace terse {
 
 template <class Pose>
-CompactOptions<Pose> SettingsFrom(const Thresholds<Pose>& thresholds) {
-  CompactOptions<Pose> settings;
-  settings.strategy = Strategy::kFpfl;
-  settings.range = thresholds.range;
-  settings.probability = thresholds.probability;
-  settings.min_loop_gain = thresholds.min_loop_gain;
-  settings.min_pose_gain = thresholds.min_pose_gain;
-  settings.link_covariance = thresholds.link_covariance;
-  return settings;
-}
-
-template <class Pose>
-CompactOptions<Pose> SampleSettings(const PoseGraph<Pose>& graph, std::optional<double> share, const std::string& label,
-                                    bool quiet) {
+Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, std::optional<double> share, const std::string& label,
+                                  bool quiet, CompactOptions<Pose>& settings) {
   Progress progress(label, 0, quiet);
   SampleOptions sample;
+  sample.probability = settings.probability;
+  sample.distance = settings.distance;
+  sample.innovation_quantile = settings.innovation_quantile;
   if (share) {
     sample.share = *share;
     sample.most_poses = std::numeric_limits<long>::max();
   }
   sample.progress = [&](long done, long) { progress.Update(done); };
-  return SettingsFrom(SelectThresholds(graph, sample));
+  const Thresholds<Pose> chosen = SelectThresholds(graph, sample);
+  settings.range = chosen.range;
+  settings.min_loop_gain = chosen.min_loop_gain;
+  settings.min_pose_gain = chosen.min_pose_gain;
+  settings.link_covariance = chosen.link_covariance;
+  return chosen;
 }
 
 template <class Pose>
@@ -63,12 +59,11 @@ CompactRun<Pose> RunCompact(const CompactOptions<Pose>& settings, GraphReplay<Po
   return run;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                     \
-  template CompactOptions<Pose> SettingsFrom<Pose>(const Thresholds<Pose>&);                        \
-  template CompactOptions<Pose> SampleSettings<Pose>(const PoseGraph<Pose>&, std::optional<double>, \
-                                                     const std::string&, bool);                     \
-  template struct CompactRun<Pose>;                                                                 \
-  template CompactRun<Pose> RunCompact<Pose>(const CompactOptions<Pose>&, GraphReplay<Pose>&,       \
+#define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template Thresholds<Pose> SampleThresholds<Pose>(const PoseGraph<Pose>&, std::optional<double>, const std::string&, \
+                                                   bool, CompactOptions<Pose>&);                                      \
+  template struct CompactRun<Pose>;                                                                                   \
+  template CompactRun<Pose> RunCompact<Pose>(const CompactOptions<Pose>&, GraphReplay<Pose>&,                         \
                                              const CompactRunOptions<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

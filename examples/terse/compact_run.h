@@ -10,14 +10,12 @@
 
 namespace terse {
 
-// FPFL with the thresholds, and the link covariance they go with.
+// Puts thresholds from a sample of the graph (SelectThresholds) into `settings`, under a progress line: range, gains
+// and the link covariance they go with. Their probability, distance and innovation quantile are those of the sample.
+// `share`: of the poses; by default SelectThresholds's own. Returns what they were chosen by.
 template <class Pose>
-CompactOptions<Pose> SettingsFrom(const Thresholds<Pose>& thresholds);
-// With thresholds from a sample of the graph (SelectThresholds), under a progress line. `share`: of its poses; by
-// default SelectThresholds's own.
-template <class Pose>
-CompactOptions<Pose> SampleSettings(const PoseGraph<Pose>& graph, std::optional<double> share, const std::string& label,
-                                    bool quiet);
+Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, std::optional<double> share, const std::string& label,
+                                  bool quiet, CompactOptions<Pose>& settings);
 
 template <class Pose>
 struct CompactRun {

@@ -75,7 +75,7 @@ class TableRun {
 
   void ChooseThresholds() {
     const double before = SecondsNow();
-    settings_ = SampleSettings(named_.graph, options_.sample, row_.graph + " sample", options_.quiet);
+    SampleThresholds(named_.graph, options_.sample, row_.graph + " sample", options_.quiet, settings_);
     const auto& range = settings_.range;
     row_.thresholds = {{range.data(), range.data() + range.size()},
                        settings_.probability,

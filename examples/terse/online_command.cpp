@@ -7,6 +7,7 @@
 #include "compact_output.h"
 #include "journal.h"
 #include "online_json.h"
+#include "policy.h"
 #include "report.h"
 #include "terse/core/measurement_line.h"
 #include "thresholds_file.h"
@@ -22,7 +23,8 @@ struct OnlineCommandOptions {
   Strategy strategy = Strategy::kFpfl;
   std::vector<double> range, link_deviation;
   std::optional<double> probability, min_pose_gain, min_loop_gain;
-  double innovation_quantile = 0.9999;  // 1: no test
+  std::optional<double> innovation_quantile = 0.9999;
+  RobustOptions robust;
   Recovery recovery = Recovery::kV2;
   ReadOptions read;
   bool strict = false, quiet = false;
@@ -233,8 +235,8 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   options.probability = from.probability.value_or(options.probability);
   options.min_loop_gain = from.min_loop_gain.value_or(options.min_loop_gain);
   options.min_pose_gain = from.min_pose_gain.value_or(options.min_pose_gain);
-  options.innovation_quantile.reset();
-  if (from.innovation_quantile < 1) options.innovation_quantile = from.innovation_quantile;
+  options.innovation_quantile = from.innovation_quantile;
+  options.solver.robust = from.robust;
   return options;
 }
 
@@ -243,7 +245,10 @@ template <class Pose>
 ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options) {
   ordered_json json = ThresholdsToJson(settings);
   json["strategy"] = Name(settings.strategy);
-  json["innovation_quantile"] = options.innovation_quantile;
+  json["innovation_quantile"] = nullptr;
+  if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
+  json["robust"] = Name(options.robust.kernel);
+  json["robust_width"] = options.robust.width;
   json["rotation_information"] =
       options.read.rotation_information == RotationInformation::kRadians ? "radians" : "quaternion";
   json["repair_information"] = options.read.repair_information;
@@ -314,12 +319,6 @@ void Online(const OnlineCommandOptions& options) {
   dimension == 2 ? RunOnline<SE2>(options, used, source) : RunOnline<SE3>(options, used, source);
 }
 
-std::string FindPositiveDefect(const std::string& text) {
-  double value = 0;
-  if (CLI::detail::lexical_cast(text, value) && value > 0 && std::isfinite(value)) return "";
-  return text + " is not a positive number";
-}
-
 void AddThresholdOptions(CLI::App& command, OnlineCommandOptions& options) {
   command
       .add_option("--thresholds", options.thresholds,
@@ -328,31 +327,26 @@ void AddThresholdOptions(CLI::App& command, OnlineCommandOptions& options) {
       ->type_name("FILE");
   command.add_option("--range", options.range, "Sensor range in metres and radians")
       ->expected(3, 4)
-      ->check(FindPositiveDefect)
+      ->check(PositiveNumber())
       ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
   command.add_option("--probability", options.probability, "Least probability of being in range, per dimension [0.1]")
-      ->check(CLI::Range(0.0, 0.999999).description(""))
+      ->check(NumberIn(0, 0.999999))
       ->type_name("S");
   command
       .add_option("--min-pose-gain", options.min_pose_gain,
                   "A pose is kept above this gain (nats), or if a loop closes at it [3]")
-      ->check(CLI::NonNegativeNumber.description(""))
+      ->check(NonNegativeNumber())
       ->type_name("G");
   command.add_option("--min-loop-gain", options.min_loop_gain, "A link is kept above this gain (nats) [1]")
-      ->check(CLI::NonNegativeNumber.description(""))
+      ->check(NonNegativeNumber())
       ->type_name("G");
   command
       .add_option("--link-deviation", options.link_deviation,
                   "Standard deviations expected of a loop, per direction [0.1 m, 0.1 rad]")
       ->expected(2)
-      ->check(FindPositiveDefect)
+      ->check(PositiveNumber())
       ->option_text("METRES RADIANS");
-  command
-      .add_option("--innovation-quantile", options.innovation_quantile,
-                  "A loop that disagrees with the map more than this share of correct ones is refused; 1: none is")
-      ->check(CLI::Range(0.000001, 1.0).description(""))
-      ->type_name("Q")
-      ->capture_default_str();
+  AddInnovationOptions(command, options.innovation_quantile);
 }
 
 }  // namespace
@@ -367,6 +361,7 @@ void AddOnlineCommand(CLI::App& app) {
             {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}},
             "All poses all links, all poses few links, or few poses few links");
   AddThresholdOptions(*command, *options);
+  AddRobustOptions(*command, options->robust);
   AddReadOptions(*command, options->read);
   command
       ->add_option("--journal", options->journal,

@@ -47,7 +47,7 @@ ordered_json LateLinkJson(const LateLink& link) {
   ordered_json json = {{"link", {link.from.value, link.to.value}},
                        {"kept", {d.from.value, d.to.value}},
                        {"measured_gain", d.gain},
-                       {"innovation", d.innovation},
+                       {"innovation", OrNull(d.innovation)},
                        {"outlier", d.outlier},
                        {"accepted", d.accepted}};
   if (d.factor) json["factor"] = d.factor->value;

@@ -1,6 +1,17 @@
 #include "policy.h"
 
 namespace terse {
+namespace {
+
+template <class Value>
+std::string NameIn(const std::vector<std::pair<std::string, Value>>& names, Value value) {
+  for (const auto& [name, named] : names) {
+    if (named == value) return name;
+  }
+  return "";
+}
+
+}  // namespace
 
 const std::vector<std::pair<std::string, Policy>>& PolicyNames() {
   static const std::vector<std::pair<std::string, Policy>> names = {
@@ -36,11 +47,7 @@ const std::vector<std::pair<std::string, RobustKernel>>& KernelNames() {
   return names;
 }
 
-std::string Name(Policy policy) {
-  for (const auto& [name, value] : PolicyNames()) {
-    if (value == policy) return name;
-  }
-  return "";
-}
+std::string Name(Policy policy) { return NameIn(PolicyNames(), policy); }
+std::string Name(RobustKernel kernel) { return NameIn(KernelNames(), kernel); }
 
 }  // namespace terse

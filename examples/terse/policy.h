@@ -13,5 +13,6 @@ const std::vector<std::pair<std::string, Policy>>& PolicyNames();
 const std::vector<std::pair<std::string, Gate>>& GateNames();
 const std::vector<std::pair<std::string, RobustKernel>>& KernelNames();
 std::string Name(Policy policy);
+std::string Name(RobustKernel kernel);
 
 }  // namespace terse

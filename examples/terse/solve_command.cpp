@@ -172,16 +172,9 @@ void AddRobustStats(const PoseGraph<Pose>& graph, const BatchResult<Pose>& resul
     }
     ++k;
   }
-  std::string kernel;
-  for (const auto& [name, value] : KernelNames()) {
-    if (value == robust.kernel) kernel = name;
-  }
-  stats.more["robust"] = {{"kernel", kernel},
-                          {"width", WidthOf(robust, Pose::kDof)},
-                          {"cost", result.robust_cost},
-                          {"loops", LoopFactors(graph).size()},
-                          {"rejected", rejected.size()},
-                          {"loops_rejected", rejected}};
+  stats.more["robust"] = {{"kernel", Name(robust.kernel)}, {"width", WidthOf(robust, Pose::kDof)},
+                          {"cost", result.robust_cost},    {"loops", LoopFactors(graph).size()},
+                          {"rejected", rejected.size()},   {"loops_rejected", rejected}};
 }
 
 template <class Pose>

@@ -93,7 +93,7 @@ Sweep RunSweep(const PoseGraph<Pose>& graph, const SweepOptions& options) {
   // What the scale 1 stands for.
   CompactOptions<Pose> base;
   if (options.thresholds.empty()) {
-    base = SampleSettings(graph, options.sample, "sample", options.quiet);
+    SampleThresholds(graph, options.sample, "sample", options.quiet, base);
   } else {
     ReadThresholds(options.thresholds, base);
   }
@@ -196,11 +196,11 @@ void AddSweepCommand(CLI::App& app) {
       ->default_str("")
       ->required();
   command->add_option("--from", options->from, "Least scale")
-      ->check(CLI::PositiveNumber.description(""))
+      ->check(PositiveNumber())
       ->type_name("X")
       ->capture_default_str();
   command->add_option("--to", options->to, "Largest scale; those between are logarithmic")
-      ->check(CLI::PositiveNumber.description(""))
+      ->check(PositiveNumber())
       ->type_name("X")
       ->capture_default_str();
   command->add_option("--steps", options->steps, "How many scales")
@@ -210,12 +210,7 @@ void AddSweepCommand(CLI::App& app) {
   CLI::Option* file =
       command->add_option("--thresholds", options->thresholds, "Read the thresholds from a thresholds.json of compact")
           ->type_name("FILE");
-  command
-      ->add_option("--sample", options->sample,
-                   "Share of the poses that the thresholds are chosen from, instead of 0.6 but 5000 poses at most")
-      ->check(CLI::Range(1e-9, 1.0).description(""))
-      ->type_name("SHARE")
-      ->excludes(file);
+  AddSampleOption(*command, options->sample)->excludes(file);
   command
       ->add_option("--ground-truth", options->ground_truth,
                    "What ATE is against (TUM, KITTI or a graph); by default the optimum of the full graph")

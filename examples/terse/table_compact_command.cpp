@@ -8,6 +8,7 @@
 #include "compact_figures.h"
 #include "compact_table.h"
 #include "compact_table_text.h"
+#include "document.h"
 #include "report.h"
 #include "terse/core/error.h"
 #include "text_table.h"
@@ -118,12 +119,8 @@ void AddCompactTable(CLI::App& table) {
       ->type_name("NAME,...");
   command->add_option("--output", options->output, "Folder for the figures (CSV, SVG), made if it is missing")
       ->type_name("FOLDER");
-  command
-      ->add_option("--sample", options->table.sample,
-                   "Share of the poses that the thresholds are chosen from, instead of 0.6 but 5000 poses at most")
-      ->check(CLI::Range(1e-9, 1.0).description(""))
-      ->type_name("SHARE");
-  command->add_option("--seed", options->table.seed, "Of the first random run")->type_name("N")->capture_default_str();
+  AddSampleOption(*command, options->table.sample);
+  AddSeedOption(*command, options->table.seed, "Of the first random run");
   command->add_option("--random-runs", options->table.random_runs, "How many of RFPFL the errors are the mean of")
       ->check(CLI::Range(0, 1000).description(""))
       ->type_name("N")

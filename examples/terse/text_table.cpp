@@ -3,11 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <fstream>
-#include <sstream>
 #include <stdexcept>
-
-#include "terse/core/atomic_file.h"
 
 namespace terse {
 namespace {
@@ -21,23 +17,6 @@ std::string Format(const char* format, int digits, double value) {
   char text[64];
   std::snprintf(text, sizeof text, format, digits, value);
   return text;
-}
-
-struct Document {
-  std::string before, after;  // with the marks
-};
-
-Document ReadDocument(const std::string& path, const std::string& mark) {
-  std::ifstream in(path);
-  std::stringstream buffer;
-  buffer << in.rdbuf();
-  const std::string text = buffer.str();
-  const std::string open = "<!-- " + mark + " -->\n", close = "<!-- /" + mark + " -->";
-  const std::size_t begin = text.find(open), end = text.find(close);
-  if (!in || begin == std::string::npos || end == std::string::npos || end < begin) {
-    throw FileError(path, 0, "cannot be read, or has no place <!-- " + mark + " --> to fill");
-  }
-  return {text.substr(0, begin + open.size()), text.substr(end)};
 }
 
 }  // namespace
@@ -80,14 +59,5 @@ std::string FixedCell(std::optional<double> value, int decimals) {
 }
 
 double Percent(double part, double whole) { return whole > 0 ? 100 * part / whole : 100; }
-
-void RequirePlace(const std::string& path, const std::string& mark) { ReadDocument(path, mark); }
-
-void UpdateDocument(const std::string& path, const std::string& text, const std::string& mark) {
-  const Document document = ReadDocument(path, mark);
-  AtomicFile file(path);
-  file.Stream() << document.before << '\n' << text << '\n' << document.after;
-  file.Commit();
-}
 
 }  // namespace terse

@@ -4,8 +4,6 @@
 #include <cstdio>
 #include <ctime>
 #include <fstream>
-#include <sstream>
-#include <stdexcept>
 #include <thread>
 
 namespace terse::bench {
@@ -44,11 +42,6 @@ std::string BlasInUse() {
   return found;
 }
 
-std::string Format(const char* format, double value) {
-  char text[64];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
 std::string Short(double value) { return Format("%.3g", value); }
 std::string Ratio(double value) { return value > 0 ? Format("%.1f", value) : "-"; }
 
@@ -211,6 +204,12 @@ std::string MachineLine(const nlohmann::json& m) {
 
 }  // namespace
 
+std::string Format(const char* format, double value) {
+  char text[64];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
 nlohmann::json Machine() {
   char date[32];
   const std::time_t now = std::time(nullptr);
@@ -240,20 +239,6 @@ std::string CovarianceTables(const nlohmann::json& results) {
   if (Any(graphs, "covariance-batch")) out += "\nAll at the optimum:\n\n" + OptimumTable(graphs);
   if (results.contains("covariance-joint")) out += "\nJoint:\n\n" + JointTable(results["covariance-joint"]);
   return out.empty() ? out : MachineLine(results["machine"]) + out;
-}
-
-void UpdateDocument(const std::string& path, const std::string& tables, const std::string& mark) {
-  std::ifstream in(path);
-  std::stringstream buffer;
-  buffer << in.rdbuf();
-  std::string text = buffer.str();
-  const std::string open = "<!-- " + mark + " -->\n", close = "<!-- /" + mark + " -->";
-  const std::size_t begin = text.find(open), end = text.find(close);
-  if (!in || begin == std::string::npos || end == std::string::npos) {
-    throw std::runtime_error(path + ": cannot be read, or has no place <!-- " + mark + " --> for tables");
-  }
-  text.replace(begin + open.size(), end - begin - open.size(), "\n" + tables + "\n");
-  std::ofstream(path) << text;
 }
 
 }  // namespace terse::bench

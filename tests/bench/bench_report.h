@@ -6,14 +6,17 @@
 
 namespace terse::bench {
 
+// Of each program; bench_main.cpp calls it and reports what it throws.
+int Main(int argc, char** argv);
+
+// printf's, of one number.
+std::string Format(const char* format, double value);
+
 // Processor, cores, commit, compiler, BLAS in use, date.
 nlohmann::json Machine();
 
 // Markdown; empty without results.
 std::string Tables(const nlohmann::json& results);
 std::string CovarianceTables(const nlohmann::json& results);
-
-// Puts the tables between the lines <!-- mark --> and <!-- /mark --> of a file. Throws std::runtime_error.
-void UpdateDocument(const std::string& path, const std::string& tables, const std::string& mark = "bench");
 
 }  // namespace terse::bench

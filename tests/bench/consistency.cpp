@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "bench_report.h"
+#include "document.h"
 #include "simulation.h"
 #include "terse/core/batch_solver.h"
 #include "terse/covariance/marginals.h"
@@ -74,12 +75,6 @@ Sweep Run(const std::string& name, const std::vector<double>& noises, int runs) 
     sweep.points.push_back(point);
   }
   return sweep;
-}
-
-std::string Format(const char* format, double value) {
-  char text[64];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
 }
 
 std::string Interval(int runs, int dof) {
@@ -205,6 +200,8 @@ class Picture {
   std::ostringstream out_;
 };
 
+}  // namespace
+
 int Main(int argc, char** argv) {
   int runs = 200;
   std::vector<double> noises;
@@ -220,18 +217,8 @@ int Main(int argc, char** argv) {
   const std::string table = Table(sweeps, runs);
   std::cout << table;
   if (!svg.empty()) std::ofstream(svg) << Picture(sweeps, runs).Draw();
-  if (!update.empty()) UpdateDocument(update, table);
+  if (!update.empty()) UpdateDocument(update, table, "bench");
   return 0;
 }
 
-}  // namespace
 }  // namespace terse::bench
-
-int main(int argc, char** argv) {
-  try {
-    return terse::bench::Main(argc, argv);
-  } catch (const std::exception& error) {
-    std::cerr << "consistency: " << error.what() << '\n';
-    return 1;
-  }
-}

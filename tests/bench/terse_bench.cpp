@@ -9,6 +9,7 @@
 #include "bench_graphs.h"
 #include "bench_report.h"
 #include "bench_runs.h"
+#include "document.h"
 
 namespace terse::bench {
 namespace {
@@ -107,6 +108,8 @@ nlohmann::json ReadResults(const std::string& path) {
   return nlohmann::json::parse(in);
 }
 
+}  // namespace
+
 int Main(int argc, char** argv) {
   Options options;
   CLI::App app("Benchmarks of pose-graph optimisation", "terse_bench");
@@ -136,19 +139,9 @@ int Main(int argc, char** argv) {
   const std::string tables = Tables(results), covariances = CovarianceTables(results);
   std::cout << tables << (tables.empty() || covariances.empty() ? "" : "\n") << covariances;
   if (options.update.empty()) return 0;
-  if (!tables.empty()) UpdateDocument(options.update, tables);
+  if (!tables.empty()) UpdateDocument(options.update, tables, "bench");
   if (!covariances.empty()) UpdateDocument(options.update, covariances, "covariances");
   return 0;
 }
 
-}  // namespace
 }  // namespace terse::bench
-
-int main(int argc, char** argv) {
-  try {
-    return terse::bench::Main(argc, argv);
-  } catch (const std::exception& error) {
-    std::cerr << "terse_bench: " << error.what() << '\n';
-    return 1;
-  }
-}

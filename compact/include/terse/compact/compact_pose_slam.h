@@ -50,9 +50,9 @@ struct RecoveredPose {
 
 // Of a link between poses seen before (CompactPoseSlam::AddLink).
 struct LinkDecision {
-  PoseId from, to;        // the kept poses that it was carried to
-  double gain = 0;        // nats, with the measured covariance
-  double innovation = 0;  // squared Mahalanobis distance
+  PoseId from, to;                   // the kept poses that it was carried to
+  double gain = 0;                   // nats, with the measured covariance
+  std::optional<double> innovation;  // squared Mahalanobis distance; absent if it was not tested
   bool outlier = false, accepted = false;
   std::optional<FactorId> factor;  // if accepted
 };
@@ -132,7 +132,8 @@ class CompactPoseSlam {
   void CheckPose(const CompactInput<Pose>& input) const;
   void CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
                   const Registration<Pose>& registration);
-  bool TryLink(Evaluated& candidate, const RelativePoseFactor<Pose>& link) const;
+  bool TryLink(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
+               Candidate& record);
   void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
   void Judge(const Current& current, Decision& decision) const;
   std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links);
