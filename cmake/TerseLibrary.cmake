@@ -44,3 +44,8 @@ function(terse_warnings name)
     target_compile_options(${name} PRIVATE -Werror)
   endif()
 endfunction()
+
+# terse_builds_fast(NAME): what does not compute much itself compiles in half the time without the costly optimisations.
+function(terse_builds_fast name)
+  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1>)
+endfunction()
