@@ -28,43 +28,34 @@ float Strength(const cv::Mat& derivatives, int x, int y) {
   return 0.5f * kScale * (a + c - std::sqrt((a - c) * (a - c) + 4 * b * b));
 }
 
-// Square buckets, so many that one corner in each makes the number wanted.
-class Buckets {
+// The image in squares.
+class Grid {
  public:
-  Buckets(cv::Size size, int wanted)
-      : side_(std::max(8.0, std::sqrt(static_cast<double>(size.area()) / std::max(1, wanted)))),
-        columns_(static_cast<int>(size.width / side_) + 1),
-        taken_(static_cast<size_t>(columns_ * (static_cast<int>(size.height / side_) + 1)), 0) {}
-
-  int At(float x, float y) const { return static_cast<int>(y / side_) * columns_ + static_cast<int>(x / side_); }
-  bool Taken(int bucket) const { return taken_[static_cast<size_t>(bucket)] != 0; }
-  void Take(int bucket) { taken_[static_cast<size_t>(bucket)] = 1; }
+  Grid(cv::Size size, double side)
+      : side_(side),
+        columns_(static_cast<int>(size.width / side) + 1),
+        counts_(static_cast<size_t>(columns_ * (static_cast<int>(size.height / side) + 1)), 0) {}
+  int& Count(const cv::Point2f& p) {
+    return counts_[static_cast<size_t>(static_cast<int>(p.y / side_) * columns_ + static_cast<int>(p.x / side_))];
+  }
 
  private:
   double side_;
   int columns_;
-  std::vector<char> taken_;
+  std::vector<int> counts_;
 };
 
 struct Candidate {
   float strength;
   cv::Point2f point;
-  bool operator<(const Candidate& other) const {
-    return std::tie(other.strength, point.y, point.x) < std::tie(strength, other.point.y, other.point.x);
-  }
+  int rank;  // in its cell, after the tracks that are there
+
+  auto StrongestFirst() const { return std::make_tuple(-strength, point.y, point.x); }
+  auto EvenlyFirst() const { return std::make_tuple(rank, -strength, point.y, point.x); }
 };
 
-}  // namespace
-
-std::vector<cv::Point2f> BucketedCorners(const cv::Mat& image, const cv::Mat& derivatives,
-                                         const std::vector<cv::Point2f>& occupied, const CornerOptions& options) {
-  // Half the corners wanted as buckets with up to two each would cluster; a third more buckets than corners makes up
-  // for those that hold none.
-  Buckets buckets(image.size(), options.wanted * 3 / 2);
-  const cv::Rect inside(0, 0, image.cols, image.rows);
-  for (const cv::Point2f& p : occupied) {
-    if (inside.contains(cv::Point(p))) buckets.Take(buckets.At(p.x, p.y));
-  }
+std::vector<Candidate> FindCandidates(const cv::Mat& image, const cv::Mat& derivatives, Grid& buckets,
+                                      const CornerOptions& options) {
   std::vector<cv::KeyPoint> keypoints;
   cv::FAST(image, keypoints, options.fast_threshold, true);
   const int border = std::max(options.border, kHalfWindow + 1);
@@ -72,18 +63,42 @@ std::vector<cv::Point2f> BucketedCorners(const cv::Mat& image, const cv::Mat& de
   for (const cv::KeyPoint& keypoint : keypoints) {
     const int x = static_cast<int>(keypoint.pt.x), y = static_cast<int>(keypoint.pt.y);
     if (x < border || y < border || x >= image.cols - border || y >= image.rows - border) continue;
-    if (buckets.Taken(buckets.At(keypoint.pt.x, keypoint.pt.y))) continue;
+    if (buckets.Count(keypoint.pt) > 0) continue;
     const float strength = Strength(derivatives, x, y);
-    if (strength >= options.min_strength) candidates.push_back({strength, keypoint.pt});
+    if (strength >= options.min_strength) candidates.push_back({strength, keypoint.pt, 0});
   }
-  std::sort(candidates.begin(), candidates.end());
+  return candidates;
+}
+
+}  // namespace
+
+std::vector<cv::Point2f> BucketedCorners(const cv::Mat& image, const cv::Mat& derivatives,
+                                         const std::vector<cv::Point2f>& occupied, const CornerOptions& options) {
+  // Buckets keep corners apart. Cells, a dozen corners each, get equal shares: otherwise one textured side of a street
+  // takes them all, and roll and sideways motion are badly determined.
+  const double area_of_one = static_cast<double>(image.size().area()) / std::max(1, options.wanted);
+  Grid buckets(image.size(), std::max(6.0, std::sqrt(area_of_one / 2)));
+  Grid cells(image.size(), std::max(24.0, std::sqrt(area_of_one * 12)));
+  const cv::Rect inside(0, 0, image.cols, image.rows);
+  for (const cv::Point2f& p : occupied) {
+    if (!inside.contains(cv::Point(p))) continue;
+    ++buckets.Count(p);
+    ++cells.Count(p);
+  }
+  std::vector<Candidate> candidates = FindCandidates(image, derivatives, buckets, options);
+  std::sort(candidates.begin(), candidates.end(),
+            [](const Candidate& a, const Candidate& b) { return a.StrongestFirst() < b.StrongestFirst(); });
+  std::vector<Candidate> apart;
+  for (Candidate& candidate : candidates) {
+    if (buckets.Count(candidate.point)++ > 0) continue;
+    candidate.rank = cells.Count(candidate.point)++;
+    apart.push_back(candidate);
+  }
+  std::sort(apart.begin(), apart.end(),
+            [](const Candidate& a, const Candidate& b) { return a.EvenlyFirst() < b.EvenlyFirst(); });
   std::vector<cv::Point2f> corners;
-  const int room = options.wanted - static_cast<int>(occupied.size());
-  for (const Candidate& candidate : candidates) {
-    if (static_cast<int>(corners.size()) >= room) break;
-    const int bucket = buckets.At(candidate.point.x, candidate.point.y);
-    if (buckets.Taken(bucket)) continue;
-    buckets.Take(bucket);
+  for (const Candidate& candidate : apart) {
+    if (static_cast<int>(corners.size() + occupied.size()) >= options.wanted) break;
     corners.push_back(candidate.point);
   }
   return corners;

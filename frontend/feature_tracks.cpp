@@ -79,15 +79,25 @@ void TrackWindow::Adjust() {
     for (const auto& observation : track.past.observations) {
       while (frame < frames_.size() && frames_[frame].id < observation.frame) ++frame;
       if (frame < frames_.size() && frames_[frame].id == observation.frame) {
-        point.observations.push_back({static_cast<int>(frame), observation.uvu});
+        point.observations.push_back({static_cast<int>(frame), offset_.Corrected(observation.uvu)});
       }
     }
     if (point.observations.size() >= 2) points.push_back(std::move(point));
   }
   WindowOptions options;
   options.huber = options_.motion.huber;
-  AdjustWindow(camera_, points, options, poses);
+  const WindowOffset offset = AdjustWindow(camera_, points, options, poses);
+  if (options_.estimate_disparity_offset) offset_.Update(offset, static_cast<int>(poses.size()));
   for (size_t k = 0; k < frames_.size(); ++k) frames_[k].T_world_camera = poses[k];
+}
+
+void OffsetEstimate::Update(const WindowOffset& window, int frames) {
+  // Noise of tracks in pixels, squared; the errors of a track are alike in all frames; and every observation is in as
+  // many windows as there are frames.
+  constexpr double kNoise = 0.25 * 0.25, kCorrelation = 3;
+  const double information = window.information / (kNoise * kCorrelation * frames);
+  information_ += information;
+  if (information_ > 0) offset_ += information / information_ * window.step;
 }
 
 void TrackWindow::AddCorners(const StereoPyramid& images) {
@@ -96,9 +106,13 @@ void TrackWindow::AddCorners(const StereoPyramid& images) {
     occupied.emplace_back(static_cast<float>(track.Now().x()), static_cast<float>(track.Now().y()));
   }
   CornerOptions options;
-  options.wanted = options_.corners;
+  // Some will have no disparity.
+  const int missing = options_.corners - static_cast<int>(tracks_.size());
+  if (missing <= 0) return;
+  options.wanted = options_.corners + missing / 2;
   const std::vector<cv::Point2f> corners = BucketedCorners(images.left[0], images.left[1], occupied, options);
   for (const Vector<3>& point : MeasureDisparities(camera_, images, corners, options_)) {
+    if (static_cast<int>(tracks_.size()) >= options_.corners) break;
     tracks_.push_back({{{{frames_.back().id, point}}}});
   }
 }

@@ -15,6 +15,20 @@ struct FeatureTrack {
   const Vector<3>& Now() const { return past.observations.back().uvu; }
 };
 
+// A common error of all disparities: what calibration leaves, a scale error of the motion. Constant, estimated from all
+// windows so far.
+class OffsetEstimate {
+ public:
+  explicit OffsetEstimate(double prior_sigma) : information_(1 / (prior_sigma * prior_sigma)) {}
+  void Update(const WindowOffset& window, int frames);
+  Vector<3> Corrected(const Vector<3>& uvu) const { return {uvu.x(), uvu.y(), uvu.z() + offset_}; }
+  double Offset() const { return offset_; }  // pixels, added to u_R
+  double Variance() const { return 1 / information_; }
+
+ private:
+  double offset_ = 0, information_;
+};
+
 // A few frames with their tracks; the last is the newest, which later frames are tracked from. Ids of frames increase.
 class TrackWindow {
  public:
@@ -24,7 +38,8 @@ class TrackWindow {
     bool keyframe;
   };
 
-  TrackWindow(const StereoCamera& camera, const StereoOdometryOptions& options) : camera_(camera), options_(options) {}
+  TrackWindow(const StereoCamera& camera, const StereoOdometryOptions& options)
+      : camera_(camera), options_(options), offset_(options.disparity_offset_sigma) {}
 
   // Forgets all and starts with one frame.
   void Start(const SE3& T_world_camera, const StereoPyramid& images);
@@ -35,6 +50,7 @@ class TrackWindow {
                const std::vector<char>& keep, OdometryTimes& times);
 
   std::vector<Vector<3>> Points() const;
+  const OffsetEstimate& Offset() const { return offset_; }
   const Frame& Newest() const { return frames_.back(); }
 
  private:
@@ -47,6 +63,7 @@ class TrackWindow {
   StereoOdometryOptions options_;
   std::vector<Frame> frames_;
   std::vector<FeatureTrack> tracks_;
+  OffsetEstimate offset_;
   int next_id_ = 0;
 };
 

@@ -1,6 +1,7 @@
 #include "motion_window.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
 
 #include "stereo_reprojection.h"
@@ -34,6 +35,8 @@ class WindowAdjuster {
     blocks_.resize(points_.size());
   }
 
+  WindowOffset Offset() const { return offset_; }
+
   std::vector<SE3> Run() {
     const int size = 6 * (frames_ - options_.fixed);
     if (size <= 0 || points_.empty()) return poses_;
@@ -41,9 +44,12 @@ class WindowAdjuster {
     for (int iteration = 0; iteration < options_.iterations; ++iteration) {
       MatrixX S = MatrixX::Zero(size, size);
       VectorX g = VectorX::Zero(size);
+      offset_column_ = VectorX::Zero(size);
+      offset_information_ = offset_gradient_ = 0;
       Assemble(S, g);
       const Eigen::LLT<MatrixX> llt(S);
       if (llt.info() != Eigen::Success) break;
+      SolveOffset(llt, g);
       const VectorX d = llt.solve(g);
       if (!d.allFinite()) break;
       std::vector<SE3> poses = poses_;
@@ -113,6 +119,9 @@ class WindowAdjuster {
     const double w_anchor = Weight(r_anchor.norm(), options_.huber);
     Matrix<3, 3> H_xx = w_anchor * Matrix<3, 3>::Identity();
     blocks.g_x = w_anchor * r_anchor;
+    Vector<3> H_xo(0, 0, -w_anchor);  // offset: u_R's residual grows with it
+    offset_information_ += w_anchor;
+    offset_gradient_ -= w_anchor * r_anchor.z();
     for (size_t o = 1; o < observations.size(); ++o) {
       const int frame = observations[o].frame;
       const auto seen = reprojections[Pair(anchor, frame)].Linearise(x_[k]);
@@ -127,16 +136,18 @@ class WindowAdjuster {
       blocks.H_xp.push_back(weighted_point * seen.J_uvu_motion);
       blocks.H_xp[0].noalias() += weighted_point * J_a;
       AddMotion(anchor, frame, J_a, seen.J_uvu_motion, w, r, S, g);
+      H_xo -= weighted_point.col(2);
+      AddOffset(anchor, frame, J_a, seen.J_uvu_motion, w, r.z());
     }
     blocks.H_xx_inverse = H_xx.inverse();
-    Eliminate(blocks, S, g);
+    Eliminate(blocks, H_xo, S, g);
   }
 
-  int Offset(int frame) const { return 6 * (frame - options_.fixed); }  // negative: held
+  int PoseRow(int frame) const { return 6 * (frame - options_.fixed); }  // negative: held
 
   void AddMotion(int a, int b, const Matrix<3, 6>& J_a, const Matrix<3, 6>& J_b, double w, const Vector<3>& r,
                  MatrixX& S, VectorX& g) const {
-    const int oa = Offset(a), ob = Offset(b);
+    const int oa = PoseRow(a), ob = PoseRow(b);
     if (ob < 0) return;
     S.block<6, 6>(ob, ob).noalias() += w * J_b.transpose() * J_b;
     g.segment<6>(ob).noalias() += w * J_b.transpose() * r;
@@ -146,14 +157,32 @@ class WindowAdjuster {
     g.segment<6>(oa).noalias() += w * J_a.transpose() * r;
   }
 
-  void Eliminate(const PointBlocks& blocks, MatrixX& S, VectorX& g) const {
+  void AddOffset(int a, int b, const Matrix<3, 6>& J_a, const Matrix<3, 6>& J_b, double w, double r_u_right) {
+    if (PoseRow(a) >= 0) offset_column_.segment<6>(PoseRow(a)) -= w * J_a.row(2).transpose();
+    if (PoseRow(b) >= 0) offset_column_.segment<6>(PoseRow(b)) -= w * J_b.row(2).transpose();
+    offset_information_ += w;
+    offset_gradient_ -= w * r_u_right;
+  }
+
+  template <class Factor>
+  void SolveOffset(const Factor& llt, const VectorX& g) {
+    const VectorX solved = llt.solve(offset_column_);
+    offset_.information = std::max(0.0, offset_information_ - offset_column_.dot(solved));
+    offset_.step = offset_.information > 0 ? (offset_gradient_ - solved.dot(g)) / offset_.information : 0;
+  }
+
+  void Eliminate(const PointBlocks& blocks, const Vector<3>& H_xo, MatrixX& S, VectorX& g) {
+    const Vector<3> solved_o = blocks.H_xx_inverse * H_xo;
+    offset_information_ -= H_xo.dot(solved_o);
+    offset_gradient_ -= solved_o.dot(blocks.g_x);
     for (size_t i = 0; i < blocks.poses.size(); ++i) {
-      const int oi = Offset(blocks.poses[i]);
+      const int oi = PoseRow(blocks.poses[i]);
       if (oi < 0) continue;
       const Matrix<6, 3> solved = blocks.H_xp[i].transpose() * blocks.H_xx_inverse;
       g.segment<6>(oi).noalias() -= solved * blocks.g_x;
+      offset_column_.segment<6>(oi).noalias() -= solved * H_xo;
       for (size_t j = 0; j <= i; ++j) {
-        const int oj = Offset(blocks.poses[j]);
+        const int oj = PoseRow(blocks.poses[j]);
         if (oj >= 0) S.block<6, 6>(oi, oj).noalias() -= solved * blocks.H_xp[j];
       }
     }
@@ -162,13 +191,13 @@ class WindowAdjuster {
   void Apply(const VectorX& d, std::vector<SE3>& poses, std::vector<Vector<3>>& x) const {
     for (int frame = options_.fixed; frame < frames_; ++frame) {
       SE3& pose = poses[static_cast<size_t>(frame)];
-      pose = pose.Retract(d.segment<6>(Offset(frame)));
+      pose = pose.Retract(d.segment<6>(PoseRow(frame)));
       pose.Normalize();
     }
     for (size_t k = 0; k < points_.size(); ++k) {
       Vector<3> rhs = blocks_[k].g_x;
       for (size_t i = 0; i < blocks_[k].poses.size(); ++i) {
-        const int offset = Offset(blocks_[k].poses[i]);
+        const int offset = PoseRow(blocks_[k].poses[i]);
         if (offset >= 0) rhs -= blocks_[k].H_xp[i] * d.segment<6>(offset);
       }
       x[k] += blocks_[k].H_xx_inverse * rhs;
@@ -184,13 +213,18 @@ class WindowAdjuster {
   std::vector<const WindowPoint*> points_;
   std::vector<Vector<3>> x_;
   std::vector<PointBlocks> blocks_;
+  VectorX offset_column_;
+  double offset_information_ = 0, offset_gradient_ = 0;
+  WindowOffset offset_;
 };
 
 }  // namespace
 
-void AdjustWindow(const StereoCamera& camera, const std::vector<WindowPoint>& points, const WindowOptions& options,
-                  std::vector<SE3>& T_world_camera) {
-  T_world_camera = WindowAdjuster(camera, points, options, T_world_camera).Run();
+WindowOffset AdjustWindow(const StereoCamera& camera, const std::vector<WindowPoint>& points,
+                          const WindowOptions& options, std::vector<SE3>& T_world_camera) {
+  WindowAdjuster adjuster(camera, points, options, T_world_camera);
+  T_world_camera = adjuster.Run();
+  return adjuster.Offset();
 }
 
 }  // namespace terse

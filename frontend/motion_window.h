@@ -23,9 +23,16 @@ struct WindowOptions {
   int iterations = 4;  // at most
 };
 
+// What the window tells about a common offset of all disparities, with poses and points unknown: least squares of the
+// offset is `step` away, with `information` (for unit noise, 1 / pixels^2). The poses are adjusted for offset 0.
+// Where the camera moves ahead, an offset makes near and far points disagree about how far.
+struct WindowOffset {
+  double information = 0, step = 0;  // step: what has to be added to u_R, pixels
+};
+
 // Adjusts T_world_camera from the second (`fixed`) on. They are left as they are if no step lowers the cost. Points
 // with one observation are passed over. Deterministic.
-void AdjustWindow(const StereoCamera& camera, const std::vector<WindowPoint>& points, const WindowOptions& options,
-                  std::vector<SE3>& T_world_camera);
+WindowOffset AdjustWindow(const StereoCamera& camera, const std::vector<WindowPoint>& points,
+                          const WindowOptions& options, std::vector<SE3>& T_world_camera);
 
 }  // namespace terse

@@ -21,8 +21,9 @@ struct PointState {
 struct NormalEquations {
   Matrix<6, 6> S = Matrix<6, 6>::Zero();  // Schur complement, weighted
   Vector<6> g = Vector<6>::Zero();
-  double cost = 0;      // robust
-  double weighted = 0;  // sum of weight * residual^2
+  Vector<6> offset = Vector<6>::Zero();  // S times the motion's change with a pixel added to all u_R
+  double cost = 0;                       // robust
+  double weighted = 0;                   // sum of weight * residual^2
   double weights = 0;
 };
 
@@ -37,6 +38,8 @@ struct PointSystem {
   Eigen::LLT<Matrix<3, 3>> H_xx;
   Matrix<3, 6> H_xp;
   Vector<3> g_x;
+  Vector<3> offset_x;  // how g_x and g_p change with a pixel added to both u_R
+  Vector<6> offset_p;
   Matrix<6, 6> H_pp;
   Vector<6> g_p;
   double residual = 0;
@@ -53,6 +56,8 @@ PointSystem Linearise(const StereoReprojection& reprojection, const PointState& 
   system.H_pp.noalias() = b.J_uvu_motion.transpose() * b.J_uvu_motion;
   system.g_x.noalias() = r_a + b.J_uvu_point.transpose() * r_b;
   system.g_p.noalias() = b.J_uvu_motion.transpose() * r_b;
+  system.offset_x = Vector<3>(0, 0, 1) + b.J_uvu_point.row(2).transpose();
+  system.offset_p = b.J_uvu_motion.row(2).transpose();
   system.residual = std::sqrt(r_a.squaredNorm() + r_b.squaredNorm());
   return system;
 }
@@ -113,6 +118,7 @@ class MotionEstimator {
       const Matrix<3, 6> solved = system.H_xx.solve(system.H_xp);
       normal.S.noalias() += weight * (system.H_pp - system.H_xp.transpose() * solved);
       normal.g.noalias() += weight * (system.g_p - solved.transpose() * system.g_x);
+      normal.offset.noalias() += weight * (system.offset_p - solved.transpose() * system.offset_x);
       normal.cost += HuberCost(system.residual, options_.huber);
       normal.weighted += weight * system.residual * system.residual;
       normal.weights += weight;
@@ -175,6 +181,7 @@ class MotionEstimator {
     if (llt.info() != Eigen::Success || llt.rcond() < 1e-12) return std::nullopt;
     StereoMotion result;
     result.T_a_b = T_a_b_;
+    result.J_motion_offset = llt.solve(normal.offset);
     for (const PointState& point : points_) {
       result.inlier.push_back(point.used);
       result.inliers += point.used;

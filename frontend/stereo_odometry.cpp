@@ -25,6 +25,7 @@ class StereoOdometry::State {
       : camera_(camera), options_(options), window_(camera, options) {}
 
   OdometryStep Track(const StereoFrame& frame);
+  const OffsetEstimate& Offset() const { return window_.Offset(); }
   std::vector<Vector<3>> TrackedPoints() const { return started_ ? window_.Points() : std::vector<Vector<3>>(); }
 
  private:
@@ -64,7 +65,7 @@ OdometryStep StereoOdometry::State::Track(const StereoFrame& frame) {
   const StereoPyramid images = BuildPyramids(frame);
   step.times.pyramids = timer.Lap();
   const FrameQuality quality = MeasureQuality(frame.left), right_quality = MeasureQuality(frame.right);
-  previous_left_ = frame.left;
+  previous_left_ = images.left.front();  // a copy
   if (!started_) {
     window_.Start(SE3(), images);
     reference_ = images;
@@ -129,7 +130,7 @@ std::optional<StereoOdometry::State::Motion> StereoOdometry::State::MeasureMotio
   std::vector<size_t> index;
   for (size_t k = 0; k < points.size(); ++k) {
     if (!measured.ok[k]) continue;
-    matches.push_back({points[k], measured.uvu[k]});
+    matches.push_back({window_.Offset().Corrected(points[k]), window_.Offset().Corrected(measured.uvu[k])});
     index.push_back(k);
   }
   step.tracked = static_cast<int>(matches.size());
@@ -198,7 +199,9 @@ OdometryStep StereoOdometry::State::TrackFrame(const StereoPyramid& images, Odom
   step.T_previous_current = T_world_previous_.Inverse() * window_.Newest().T_world_camera;
   T_world_previous_ = window_.Newest().T_world_camera;
   velocity_ = Power(motion->motion.T_a_b, 1.0 / (gap_ + 1));
-  step.covariance = motion->motion.covariance;
+  const Vector<6>& J_motion_offset = motion->motion.J_motion_offset;
+  step.covariance =
+      motion->motion.covariance + window_.Offset().Variance() * J_motion_offset * J_motion_offset.transpose();
   if (gap_ > 0) {
     // The motion since the reference is known, that since the previous frame is not: that one was lost.
     step.covariance = step.covariance + LostCovariance();
@@ -243,6 +246,8 @@ StereoOdometry::StereoOdometry(StereoOdometry&&) noexcept = default;
 StereoOdometry& StereoOdometry::operator=(StereoOdometry&&) noexcept = default;
 
 OdometryStep StereoOdometry::Track(const StereoFrame& frame) { return state_->Track(frame); }
+double StereoOdometry::DisparityOffset() const { return state_->Offset().Offset(); }
+double StereoOdometry::DisparityOffsetSigma() const { return std::sqrt(state_->Offset().Variance()); }
 std::vector<Vector<3>> StereoOdometry::TrackedPoints() const { return state_->TrackedPoints(); }
 
 std::string ToString(TrackingStatus status) {

@@ -42,6 +42,7 @@ struct StereoMotionOptions {
 struct StereoMotion {
   SE3 T_a_b;
   Matrix<6, 6> covariance;
+  Vector<6> J_motion_offset;  // how the motion changes (d of T_a_b Exp(d)) with a pixel added to all u_R
   std::vector<char> inlier;   // one per match
   int inliers = 0;            // how many of them
   double residual_scale = 0;  // pixels, estimated standard deviation of one image coordinate

@@ -32,6 +32,10 @@ struct StereoOdometryOptions {
   double min_disparity = 1;       // pixels
   double max_angle = 0.5;         // radians from one frame to the next; more: lost
   double max_acceleration = 3;    // metres that a motion may differ from the predicted one; more: lost
+  // Estimate a common offset of all disparities from the sequence: a tenth of a pixel, as calibrations leave it, is
+  // half a per cent of scale. Its uncertainty goes into the covariances.
+  bool estimate_disparity_offset = true;
+  double disparity_offset_sigma = 0.3;  // pixels, before the first frame
   StereoMotionOptions motion;
   // Standard deviations of a lost edge: a part of the motion, and at least so much.
   double lost_sigma_part = 0.5, lost_sigma_rho = 0.5, lost_sigma_phi = 0.05;  // 1, metres, radians
@@ -67,6 +71,10 @@ class StereoOdometry {
 
   // The next frame. Throws std::invalid_argument if an image has the wrong type or size; the state is then unchanged.
   OdometryStep Track(const StereoFrame& frame);
+
+  // What has to be added to u_R, as estimated so far, and its standard deviation: pixels.
+  double DisparityOffset() const;
+  double DisparityOffsetSigma() const;
 
   // The points that the last frame tracks, and what it measures of them: (u_L, v_L, u_R), pixels.
   std::vector<Vector<3>> TrackedPoints() const;
