@@ -18,7 +18,8 @@ struct WindowPoint {
 };
 
 struct WindowOptions {
-  double huber = 1;    // pixels, of the three residuals of one observation
+  // Pixels, of the three residuals of one observation. Small: what a track drifts away in a window counts little.
+  double huber = 0.3;
   int fixed = 1;       // poses held, the first ones
   int iterations = 4;  // at most
 };

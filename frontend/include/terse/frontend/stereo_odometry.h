@@ -24,7 +24,7 @@ namespace terse {
 
 struct StereoOdometryOptions {
   int corners = 600;              // tracks wanted in a frame
-  int window = 7;                 // keyframes adjusted together; 0 or 1: motion from two frames only
+  int window = 5;                 // keyframes adjusted together; 0 or 1: motion from two frames only
   int min_inliers = 30;           // fewer: lost
   double forward_backward = 0.7;  // pixels that a track may miss its start by, there and back
   double circle = 1.0;            // pixels that a track may miss by around the four images
