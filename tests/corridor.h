@@ -52,7 +52,7 @@ class Corridor {
     const std::uint32_t plane = wall ? (ray.x() > 0) : 2 + (ray.y() > 0);
     double grey = 110;
     // What is finer than a pixel there is not drawn: it would alias.
-    for (double cell = 1.6, contrast = 60; cell > distance / 110; cell /= 2, contrast *= 0.8) {
+    for (double cell = 1.6, contrast = 130; cell > distance / 110; cell /= 2, contrast *= 0.85) {
       grey += contrast * (Smooth(p.z() / cell, across / cell, plane) - 0.5);
     }
     return grey;

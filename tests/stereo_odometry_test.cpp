@@ -222,7 +222,7 @@ std::vector<SE3> ReadPoses(const std::string& path) {
   return poses;
 }
 
-// Frames 12 to 50: before them the ground truth drifts in yaw. One in two in builds that are slow.
+// Frames 12 to 50: before them the ground truth drifts in yaw. A few of them in builds that are slow.
 TEST(StereoOdometry, RealFramesOfKitti06) {
   TERSE_NEEDS(folder, "kitti/sequences/06");
   TERSE_NEEDS(poses, "kitti/poses/06.txt");
@@ -250,7 +250,7 @@ TEST(StereoOdometry, RealFramesOfKitti06) {
   const PoseError error = Difference(T_first_current, truth[first].Inverse() * truth[static_cast<size_t>(last)]);
   RecordProperty("translation_percent", std::to_string(100 * error.translation / length));
   RecordProperty("rotation_degrees", std::to_string(error.rotation * 180 / M_PI));
-  EXPECT_LT(error.translation, (kSlowBuild ? 0.02 : 0.01) * length);
+  EXPECT_LT(error.translation, (kSlowBuild ? 0.02 : 0.007) * length);
   EXPECT_LT(error.rotation * 180 / M_PI, 0.25);
 }
 

@@ -25,7 +25,7 @@ struct StereoMatch {
 };
 
 struct StereoMotionOptions {
-  double huber = 1;          // pixels: a residual (of one point in one frame, 3 numbers) counts linearly from here on
+  double huber = 1;          // pixels: a residual (of one match, 6 numbers) counts linearly from here on
   double outlier = 3;        // pixels: a match with a larger residual after convergence is left out
   double min_disparity = 1;  // pixels: a match with less in either frame is not used
   int min_inliers = 12;      // fewer: no result
@@ -33,7 +33,7 @@ struct StereoMotionOptions {
   // Covariance = factor * scale^2 * (Schur complement)^-1 + floor. The residuals' own scale is too optimistic: errors
   // of tracks are correlated with the texture, the disparity and each other. The factor, on variances, was found on
   // rendered sequences with exact ground truth.
-  double covariance_factor = 3;
+  double covariance_factor = 3.5;
   double min_residual_scale = 0.1;  // pixels
   double sigma_rho_floor = 1e-3;    // metres, standard deviation
   double sigma_phi_floor = 2e-5;    // radians

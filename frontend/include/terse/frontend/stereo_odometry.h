@@ -23,11 +23,11 @@
 namespace terse {
 
 struct StereoOdometryOptions {
-  int corners = 600;              // tracks wanted in a frame
+  int corners = 700;              // tracks wanted in a frame
   int window = 5;                 // keyframes adjusted together; 0 or 1: motion from two frames only
   int min_inliers = 30;           // fewer: lost
-  double forward_backward = 0.7;  // pixels that a track may miss its start by, there and back
-  double circle = 1.0;            // pixels that a track may miss by around the four images
+  double forward_backward = 0.5;  // pixels that a track may miss its start by, there and back
+  double circle = 0.4;            // pixels that a track may miss by around the four images
   double max_disparity = 0.2;     // of the image width
   double min_disparity = 1;       // pixels
   double max_angle = 0.5;         // radians from one frame to the next; more: lost
