@@ -91,14 +91,14 @@ double RoadGrey(std::uint64_t seed, double s, double left) {
   }
   RoadCell manhole = CellAt(HashMix(seed, 2), s, 8.0);
   const double ds = s - manhole.s0 - manhole.random.Uniform(0.5, 7.5);
-  const double dl = left - manhole.random.Uniform(-3, 3), ring = std::hypot(ds, dl);
-  if (ring < 0.34) grey = ring > 0.28 ? 35 : 70 + 40 * std::sin(40 * ds) * std::sin(40 * dl);
+  const double dl = left - manhole.random.Uniform(-3, 3), ring = ds * ds + dl * dl;
+  if (ring < 0.12) grey = ring > 0.08 ? 35 : 70 + 40 * std::sin(40 * ds) * std::sin(40 * dl);
   for (int k = 3; k < 6; ++k) {  // cracks across or along
     RoadCell crack = CellAt(HashMix(seed, k), s, 4.0);
     const double slope = crack.random.Uniform(-1.5, 1.5), at = crack.random.Uniform(0.5, 3.5);
     const double middle = crack.random.Uniform(-5, 5), reach = crack.random.Uniform(0.5, 2.0);
     const double off = s - crack.s0 - at - slope * (left - middle) - 0.15 * std::sin(5 * left);
-    if (std::abs(off) < 0.035 * std::hypot(1, slope) && std::abs(left - middle) < reach) grey -= 40;
+    if (std::abs(left - middle) < reach && off * off < 0.0012 * (1 + slope * slope)) grey -= 40;
   }
   return grey;
 }

@@ -10,7 +10,6 @@ namespace {
 
 constexpr double kNear = 0.2;  // metres
 constexpr float kHaze = 205;   // where there is nothing
-constexpr int kMostTaps = 4;   // along the foreshortened direction
 constexpr std::int32_t kNothing = -1;
 
 using Point = Vector<2>;
@@ -146,9 +145,9 @@ Visibility FindVisible(const std::vector<Projected>& polygons, const StreetView&
 
 using Levels = std::vector<StreetTexture::Level>;
 
-float Bilinear(const StreetTexture::Level& level, float x, float y) {
-  x = std::clamp(x - 0.5f, 0.0f, static_cast<float>(level.width) - 1.001f);
-  y = std::clamp(y - 0.5f, 0.0f, static_cast<float>(level.height) - 1.001f);
+inline float Bilinear(const StreetTexture::Level& level, float x, float y) {
+  x = std::min(std::max(x - 0.5f, 0.0f), static_cast<float>(level.width) - 1.001f);
+  y = std::min(std::max(y - 0.5f, 0.0f), static_cast<float>(level.height) - 1.001f);
   const int column = static_cast<int>(x), row = static_cast<int>(y);
   const float wx = x - static_cast<float>(column), wy = y - static_cast<float>(row);
   const unsigned char* above = level.grey + row * level.width + column;
@@ -159,15 +158,15 @@ float Bilinear(const StreetTexture::Level& level, float x, float y) {
 }
 
 // Half the binary logarithm of x >= 1, to a few per cent.
-float HalfLog2(float x) {
-  std::uint32_t bits = 0;
+inline float HalfLog2(float x) {
+  std::int32_t bits = 0;
   std::memcpy(&bits, &x, sizeof bits);
-  const float exponent = static_cast<float>(static_cast<int>(bits >> 23) - 127);
+  const float exponent = static_cast<float>((bits >> 23) - 127);
   const float mantissa = static_cast<float>(bits & 0x7fffff) * 0x1p-23f;
   return 0.5f * (exponent + mantissa * (1.33f - 0.33f * mantissa));
 }
 
-float Trilinear(const Levels& levels, float s, float t, float lod) {
+inline float Trilinear(const Levels& levels, float s, float t, float lod) {
   const int last = static_cast<int>(levels.size()) - 1;
   const int fine = std::min(static_cast<int>(lod), last);
   const float scale = 1.0f / static_cast<float>(1 << fine);
@@ -178,55 +177,113 @@ float Trilinear(const Levels& levels, float s, float t, float lod) {
   return near + weight * (far - near);
 }
 
-float Shade(const Projected& p, const Levels& levels, float u, float v) {
-  const float z = 1 / p.inverse_z.At(u, v);
-  const float s = p.s.At(u, v) * z, t = p.t.At(u, v) * z;
-  // How the texture moves from pixel to pixel.
-  const float ds_u = (p.s.u - s * p.inverse_z.u) * z, dt_u = (p.t.u - t * p.inverse_z.u) * z;
-  const float ds_v = (p.s.v - s * p.inverse_z.v) * z, dt_v = (p.t.v - t * p.inverse_z.v) * z;
-  const float square_u = ds_u * ds_u + dt_u * dt_u, square_v = ds_v * ds_v + dt_v * dt_v;
-  const bool along_u = square_u > square_v;
-  const float longer = along_u ? square_u : square_v, shorter = along_u ? square_v : square_u;
-  int taps = 1;
-  while (taps < kMostTaps && longer > 2 && longer > 1.5f * static_cast<float>(taps * taps) * shorter) ++taps;
-  const float square = longer / static_cast<float>(taps * taps);
-  const float lod = square > 1 ? HalfLog2(square) : 0;
-  if (taps == 1) return Trilinear(levels, s, t, lod);
-  float sum = 0;
-  for (int k = 0; k < taps; ++k) {
-    const float at = (static_cast<float>(k) + 0.5f) / static_cast<float>(taps) - 0.5f;
-    sum += Trilinear(levels, s + at * (along_u ? ds_u : ds_v), t + at * (along_u ? dt_u : dt_v), lod);
+constexpr int kRun = 64;  // pixels
+
+// Where in the texture the pixels of a run lie, and over what their taps spread.
+struct Footprints {
+  float s[kRun], t[kRun], ds[kRun], dt[kRun], lod[kRun];
+  std::int32_t taps[kRun];
+};
+
+// For the pixels u, u + 1 ... of a row. Written for the compiler to take several at once.
+void FindFootprints(const Projected& p, float u, float v, int count, Footprints& out) {
+  const float q0 = p.inverse_z.At(u, v), s0 = p.s.At(u, v), t0 = p.t.At(u, v);
+  for (int k = 0; k < count; ++k) {
+    const float along = static_cast<float>(k);
+    const float z = 1 / (q0 + p.inverse_z.u * along);
+    const float s = (s0 + p.s.u * along) * z, t = (t0 + p.t.u * along) * z;
+    const float ds_u = (p.s.u - s * p.inverse_z.u) * z, dt_u = (p.t.u - t * p.inverse_z.u) * z;
+    const float ds_v = (p.s.v - s * p.inverse_z.v) * z, dt_v = (p.t.v - t * p.inverse_z.v) * z;
+    const float square_u = ds_u * ds_u + dt_u * dt_u, square_v = ds_v * ds_v + dt_v * dt_v;
+    const bool longer_u = square_u > square_v;
+    const float longer = longer_u ? square_u : square_v, shorter = longer_u ? square_v : square_u;
+    // Taps on the longer side, so that each covers about a square.
+    const float excess = longer > 2 ? longer : 0;
+    const std::int32_t taps = 1 + (excess > 1.5f * shorter) + (excess > 6 * shorter) + (excess > 13.5f * shorter);
+    const float square = longer / static_cast<float>(taps * taps);
+    out.s[k] = s;
+    out.t[k] = t;
+    out.ds[k] = longer_u ? ds_u : ds_v;
+    out.dt[k] = longer_u ? dt_u : dt_v;
+    out.taps[k] = taps;
+    out.lod[k] = HalfLog2(square > 1 ? square : 1);
   }
-  return sum / static_cast<float>(taps);
 }
+
+void Shade(const Projected& p, const Levels& levels, float u, float v, int count, float* grey) {
+  Footprints at;
+  FindFootprints(p, u, v, count, at);
+  for (int k = 0; k < count; ++k) {
+    if (at.taps[k] == 1) {
+      grey[k] = Trilinear(levels, at.s[k], at.t[k], at.lod[k]);
+      continue;
+    }
+    const float share = 1 / static_cast<float>(at.taps[k]);
+    float sum = 0;
+    for (std::int32_t tap = 0; tap < at.taps[k]; ++tap) {
+      const float offset = (static_cast<float>(tap) + 0.5f) * share - 0.5f;
+      sum += Trilinear(levels, at.s[k] + offset * at.ds[k], at.t[k] + offset * at.dt[k], at.lod[k]);
+    }
+    grey[k] = sum * share;
+  }
+}
+
+// Colours what is visible; only the textures that are seen get painted.
+class Shader {
+ public:
+  explicit Shader(const std::vector<Projected>& polygons) : polygons_(polygons), levels_(polygons.size()) {}
+
+  // Up to kRun pixels of a row that show the same polygon.
+  void Shade(std::int32_t id, float u, float v, int count, float* grey) {
+    if (id == kNothing) {
+      std::fill_n(grey, count, kHaze);
+      return;
+    }
+    const auto k = static_cast<std::size_t>(id);
+    if (levels_[k] == nullptr) levels_[k] = &polygons_[k].texture->Get();
+    terse::Shade(polygons_[k], *levels_[k], u, v, count, grey);
+  }
+  float Sample(std::int32_t id, float u, float v) {
+    float grey = 0;
+    Shade(id, u, v, 1, &grey);
+    return grey;
+  }
+
+ private:
+  const std::vector<Projected>& polygons_;
+  std::vector<const Levels*> levels_;
+};
 
 }  // namespace
 
 cv::Mat1f RenderStreet(const StreetScene& scene, const StreetView& view, const SE3& T_world_camera) {
   const std::vector<Projected> polygons = Project(scene, view, T_world_camera);
   const Visibility visible = FindVisible(polygons, view, 2);
-  std::vector<const Levels*> levels(polygons.size());  // only what is seen gets painted
-  const auto shade = [&](std::int32_t id, float u, float v) {
-    if (id == kNothing) return kHaze;
-    const auto k = static_cast<std::size_t>(id);
-    if (levels[k] == nullptr) levels[k] = &polygons[k].texture->Get();
-    return Shade(polygons[k], *levels[k], u, v);
-  };
+  Shader shader(polygons);
   cv::Mat1f image(view.height, view.width);
   for (int row = 0; row < view.height; ++row) {
     const std::int32_t *above = visible.polygon[2 * row], *below = visible.polygon[2 * row + 1];
+    const auto shows = [&](int column, std::int32_t id) {
+      const int k = 2 * column;
+      return above[k] == id && above[k + 1] == id && below[k] == id && below[k + 1] == id;
+    };
     const float v = static_cast<float>(row);
-    for (int column = 0; column < view.width; ++column) {
-      const std::int32_t a = above[2 * column], b = above[2 * column + 1], c = below[2 * column],
-                         d = below[2 * column + 1];
+    for (int column = 0; column < view.width;) {
+      const std::int32_t id = above[2 * column];
       const float u = static_cast<float>(column);
-      if (a == b && a == c && a == d) {
-        image(row, column) = shade(a, u, v);
-      } else {  // an edge
-        image(row, column) = (shade(a, u - 0.25f, v - 0.25f) + shade(b, u + 0.25f, v - 0.25f) +
-                              shade(c, u - 0.25f, v + 0.25f) + shade(d, u + 0.25f, v + 0.25f)) /
-                             4;
+      int end = column;
+      while (end < std::min(view.width, column + kRun) && shows(end, id)) ++end;
+      if (end > column) {
+        shader.Shade(id, u, v, end - column, image[row] + column);
+        column = end;
+        continue;
       }
+      const int k = 2 * column;  // the edge of something
+      image(row, column) =
+          (shader.Sample(above[k], u - 0.25f, v - 0.25f) + shader.Sample(above[k + 1], u + 0.25f, v - 0.25f) +
+           shader.Sample(below[k], u - 0.25f, v + 0.25f) + shader.Sample(below[k + 1], u + 0.25f, v + 0.25f)) /
+          4;
+      ++column;
     }
   }
   return image;

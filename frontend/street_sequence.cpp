@@ -26,16 +26,17 @@ StereoCamera MakeCamera(const StreetOptions& options) {
 
 void Check(const StreetOptions& options) {
   const auto require = [](bool condition, const std::string& what) {
-    if (!condition) throw std::invalid_argument("StreetSequence: " + what);
+    if (!condition) throw std::invalid_argument(what);
   };
-  require(options.frames >= 1 && options.laps >= 1, "at least one frame and one lap");
-  require(options.width >= 16 && options.height >= 16, "an image of at least 16x16 pixels");
-  require(options.metres_per_frame > 0 && options.metres_per_frame <= 5, "a speed of 0 to 5 metres per frame");
-  require(options.noise >= 0 && options.noise <= 50, "noise of 0 to 50 grey levels");
-  require(options.contrast >= 0 && options.contrast <= 1, "a contrast of 0 to 1");
-  require(options.exposure >= 0 && options.exposure < 1, "an exposure that varies by less than 1");
-  require(std::abs(options.disparity_offset) <= 5, "a disparity offset of at most 5 pixels");
-  const int least = StreetSequence::LeastFramesPerLap(options.metres_per_frame) * options.laps;
+  require(options.frames >= 1 && options.laps >= 1, "there must be at least one frame and one lap");
+  require(options.width >= 16 && options.height >= 16, "an image has at least 16x16 pixels");
+  require(options.metres_per_frame > 0 && options.metres_per_frame <= 5,
+          "the speed must be above 0 and at most 5 metres per frame");
+  require(options.noise >= 0 && options.noise <= 50, "the noise must be 0 to 50 grey levels");
+  require(options.contrast >= 0 && options.contrast <= 1, "the contrast must be 0 to 1");
+  require(options.exposure >= 0 && options.exposure < 1, "the exposure must vary by less than 1");
+  require(std::abs(options.disparity_offset) <= 5, "the disparity offset must be at most 5 pixels");
+  const long least = static_cast<long>(StreetSequence::LeastFramesPerLap(options.metres_per_frame)) * options.laps;
   require(options.frames >= least, std::to_string(options.laps) + " laps need at least " + std::to_string(least) +
                                        " frames, as the camera turns by at most 2.5 degrees per frame");
 }
@@ -124,7 +125,7 @@ struct StreetSequence::Data {
 
   void CheckFrame(int frame) const {
     if (frame >= 0 && frame < options.frames) return;
-    throw std::invalid_argument("StreetSequence: no frame " + std::to_string(frame));
+    throw std::invalid_argument("the sequence has no frame " + std::to_string(frame));
   }
   StreetView View(bool right) const {
     return {camera.fx, camera.fy,    camera.cx - (right ? options.disparity_offset : 0),

@@ -5,6 +5,7 @@
 #include <CLI/App.hpp>
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
+#include <cstdint>
 #include <functional>
 #include <nlohmann/json.hpp>
 
@@ -28,6 +29,9 @@ void AddSweepCommand(CLI::App& app);
 
 // --rotation-information and --repair-information, for every subcommand that reads a graph.
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
+
+// --seed, for every subcommand that makes data.
+void AddSeedOption(CLI::App& subcommand, std::uint64_t& seed);
 
 // --robust and --robust-width, for every subcommand that optimises.
 void AddRobustOptions(CLI::App& subcommand, RobustOptions& options);

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <iostream>
 
@@ -25,6 +26,18 @@ std::size_t EditDistance(const std::string& a, const std::string& b) {
 }
 
 }  // namespace
+
+void AddSeedOption(CLI::App& subcommand, std::uint64_t& seed) {
+  subcommand.add_option("--seed", seed, "Same seed, same data")
+      ->check([](const std::string& text) -> std::string {
+        std::uint64_t value = 0;
+        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+        if (error == std::errc() && end == text.data() + text.size()) return "";
+        return text + " is not a whole number from 0 to 2^64 - 1";
+      })
+      ->type_name("N")
+      ->capture_default_str();
+}
 
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
   AddChoice(subcommand, "--rotation-information", options.rotation_information,

@@ -1,6 +1,4 @@
-#include <charconv>
 #include <cmath>
-#include <cstdint>
 #include <iostream>
 #include <memory>
 #include <optional>
@@ -206,15 +204,7 @@ void AddGenerateCommand(CLI::App& app) {
                           ->check(CLI::Range(1, 1000000).description(""))
                           ->type_name("N")
                           ->capture_default_str();
-  command->add_option("--seed", options->generate.seed, "Same seed, same data")
-      ->check([](const std::string& text) -> std::string {
-        std::uint64_t seed = 0;
-        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), seed);
-        if (error == std::errc() && end == text.data() + text.size()) return "";
-        return text + " is not a whole number from 0 to 2^64 - 1";
-      })
-      ->type_name("N")
-      ->capture_default_str();
+  AddSeedOption(*command, options->generate.seed);
   command->add_option("--output", options->output, "The g2o file, instead of standard output")->type_name("FILE");
   CLI::Option* ground_truth =
       command->add_option("--ground-truth", options->ground_truth, "The true trajectory, TUM with pose ids for stamps")

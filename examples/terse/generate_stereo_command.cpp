@@ -55,7 +55,7 @@ void AddStreetOptions(CLI::App& command, StreetOptions& street) {
           "Pixels of an image")
       ->type_name("WxH")
       ->default_str("1226x370");
-  command.add_option("--seed", street.seed, "Same seed, same images")->type_name("N")->capture_default_str();
+  AddSeedOption(command, street.seed);
   command.add_option("--speed", street.metres_per_frame, "Metres per frame")
       ->check(CLI::Range(0.1, 5.0).description(""))
       ->type_name("M")

@@ -20,10 +20,10 @@ struct StreetOptions {
   int frames = 400, laps = 2;
   int width = 1226, height = 370;  // pixels
   std::uint64_t seed = 1;
-  double metres_per_frame = 0.8;
-  double noise = 4.5;             // standard deviation, grey levels
-  double contrast = 0.6;          // of the textures, 0 to 1
-  double disparity_offset = 0.2;  // pixels: what the images show minus what the calibration says
+  double metres_per_frame = 1;
+  double noise = 5;               // standard deviation, grey levels
+  double contrast = 0.5;          // of the textures, 0 to 1
+  double disparity_offset = 0.1;  // pixels: what the images show minus what the calibration says
   double exposure = 0.25;         // the gain varies by this much about 1
   bool featureless_stretches = true;
 };
