@@ -27,8 +27,8 @@ int Fail(const std::string& cause, int code) {
 
 // The first argument that `app`, or the subcommand it belongs to, does not know, and what was probably meant.
 std::string DescribeUnknown(CLI::App& app) {
-  const std::vector<CLI::App*> parsed = app.get_subcommands();
-  CLI::App* active = parsed.empty() ? &app : parsed.front();
+  CLI::App* active = &app;
+  while (!active->get_subcommands().empty()) active = active->get_subcommands().front();
   std::vector<std::string> unknown = active->remaining(true);
   // Options first: what follows an unknown option is its value, not a mistake of its own.
   std::stable_partition(unknown.begin(), unknown.end(), [](const std::string& text) { return text[0] == '-'; });
