@@ -1,4 +1,4 @@
-#include "descriptor_matching.h"
+#include "frontend/descriptor_matching.h"
 
 #include <algorithm>
 #include <cmath>

@@ -6,8 +6,8 @@
 #include <stdexcept>
 #include <string>
 
-#include "descriptor_matching.h"
-#include "patch_alignment.h"
+#include "frontend/descriptor_matching.h"
+#include "frontend/patch_alignment.h"
 
 namespace terse {
 namespace {

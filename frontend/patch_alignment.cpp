@@ -1,4 +1,4 @@
-#include "patch_alignment.h"
+#include "frontend/patch_alignment.h"
 
 #include <cmath>
 
