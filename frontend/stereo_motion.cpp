@@ -5,7 +5,7 @@
 #include <cmath>
 #include <random>
 
-#include "frontend/stereo_reprojection.h"
+#include "stereo_reprojection.h"
 
 namespace terse {
 namespace {
