@@ -62,7 +62,7 @@ class KittiSequenceTest : public ::testing::Test {
       work();
       ADD_FAILURE() << "no error: " << cause;
     } catch (const FileError& error) {
-      EXPECT_EQ(error.path(), (root_ / file).string()) << error.what();
+      EXPECT_EQ(error.path(), (file.empty() ? root_ : root_ / file).string()) << error.what();
       EXPECT_EQ(error.line(), line) << error.what();
       EXPECT_NE(error.cause().find(cause), std::string::npos) << error.what();
     }
@@ -206,8 +206,11 @@ TEST_F(KittiSequenceTest, BadImagesAreNamed) {
   expect(1, "image_0/" + Name(1), "cut off");
   Write("image_1/" + Name(2), "");
   expect(2, "image_1/" + Name(2), "not a PNG");
+  Write("image_1/" + Name(3), "\x89PNG\r\n\x1a\n all but an image IEND");
+  expect(3, "image_1/" + Name(3), "cannot be decoded");
   fs::remove(root_ / "image_1" / Name(3));
   expect(3, "image_1/" + Name(3), "does not exist");
+  Write("image_1/" + Name(3), "");
   WriteImage("image_1/" + Name(4), RandomImage(1)(cv::Rect(0, 0, kWidth - 1, kHeight)));
   expect(4, "image_1/" + Name(4), "59x20, the first of the sequence 60x20");
   Write("image_0/" + Name(0), "GIF89a");

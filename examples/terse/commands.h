@@ -17,6 +17,7 @@ void AddInfoCommand(CLI::App& app);
 void AddConvertCommand(CLI::App& app);
 void AddEvaluateCommand(CLI::App& app);
 void AddGenerateCommand(CLI::App& app);
+void AddGenerateStereo(CLI::App& generate);  // a subcommand of generate
 void AddSolveCommand(CLI::App& app);
 void AddCompactCommand(CLI::App& app);
 void AddOnlineCommand(CLI::App& app);

@@ -241,7 +241,9 @@ void AddGenerateCommand(CLI::App& app) {
   command->footer(
       "Example: terse generate manhattan --poses 10000 --output city.g2o --ground-truth city.tum\n"
       "         terse generate --from city.g2o --outliers 10 --outliers-list wrong.csv --output wrong.g2o");
-  command->callback([options] {
+  AddGenerateStereo(*command);
+  command->callback([command, options] {
+    if (!command->get_subcommands().empty()) return;  // its own callback did the work
     if (options->scene.empty() && options->from.empty()) throw CLI::RequiredError("SCENE or --from FILE");
     RunGenerate(*options);
   });

@@ -1,0 +1,99 @@
+#include <algorithm>
+#include <atomic>
+#include <cstdio>
+#include <exception>
+#include <filesystem>
+#include <mutex>
+#include <opencv2/imgcodecs.hpp>
+#include <thread>
+#include <vector>
+
+#include "terse/core/atomic_file.h"
+#include "terse/core/trajectory.h"
+#include "terse/frontend/kitti_calibration.h"
+#include "terse/frontend/street_sequence.h"
+
+namespace terse {
+namespace {
+
+namespace fs = std::filesystem;
+
+// Noise does not compress: what costs time for a few per cent is left out.
+const std::vector<int> kFastPng = {cv::IMWRITE_PNG_COMPRESSION, 1, cv::IMWRITE_PNG_STRATEGY,
+                                   cv::IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY};
+
+void MakeImageFolder(const fs::path& folder) {
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) throw FileError(folder.string(), 0, "cannot make the folder: " + error.message());
+  if (fs::directory_iterator(folder, error) != fs::directory_iterator()) {
+    throw FileError(folder.string(), 0, "the folder is not empty");
+  }
+}
+
+void WriteImage(const fs::path& folder, int index, const cv::Mat& image) {
+  char name[32];
+  std::snprintf(name, sizeof name, "%06d.png", index);
+  const std::string path = (folder / name).string();
+  bool written = false;
+  try {
+    written = cv::imwrite(path, image, kFastPng);
+  } catch (const cv::Exception&) {
+  }
+  if (!written) throw FileError(path, 0, "cannot write");
+}
+
+// Runs work(k) for k from 0 to count - 1, each once; the first exception ends it.
+template <class Work>
+void Share(int count, int threads, const Work& work) {
+  std::atomic<int> next{0};
+  std::exception_ptr error;
+  std::mutex mutex;
+  const auto run = [&] {
+    try {
+      for (int k = next++; k < count; k = next++) work(k);
+    } catch (...) {
+      next = count;
+      const std::lock_guard lock(mutex);
+      if (!error) error = std::current_exception();
+    }
+  };
+  std::vector<std::thread> others;
+  for (int k = 1; k < threads; ++k) others.emplace_back(run);
+  run();
+  for (std::thread& thread : others) thread.join();
+  if (error) std::rethrow_exception(error);
+}
+
+}  // namespace
+
+void WriteStreet(const StreetSequence& sequence, const std::string& directory, int threads,
+                 const std::function<void(int)>& progress) {
+  if (threads < 1) throw std::invalid_argument("WriteStreet: at least one thread");
+  const fs::path root(directory), left = root / "image_0", right = root / "image_1";
+  MakeImageFolder(left);
+  MakeImageFolder(right);
+  const int frames = sequence.Options().frames;
+  std::mutex mutex;
+  int done = 0;
+  Share(frames, threads, [&](int k) {
+    const StereoFrame frame = sequence.Render(k);
+    WriteImage(left, k, frame.left);
+    WriteImage(right, k, frame.right);
+    const std::lock_guard lock(mutex);
+    ++done;
+    if (progress) progress(done);
+  });
+  WriteKittiCalibration(sequence.Camera(), (root / "calib.txt").string());
+  Trajectory truth{TrajectoryFormat::kKitti, {}, {}};
+  AtomicFile times((root / "times.txt").string());
+  for (int k = 0; k < frames; ++k) {
+    truth.stamps.push_back(k);
+    truth.T_world_body.push_back(sequence.T_world_camera(k));
+    times.Stream() << Shortest(sequence.Time(k)) << '\n';
+  }
+  times.Commit();
+  WriteKitti(truth, (root / "poses.txt").string());
+}
+
+}  // namespace terse
