@@ -65,10 +65,10 @@ AppearanceSearch::Histogram AppearanceSearch::Describe(const KeyframeFeatures& f
   return out;
 }
 
-// A word that every keyframe has tells nothing.
+// Rare words tell more; one that every keyframe has still tells something.
 double AppearanceSearch::Weight(int word) const {
-  const double all = static_cast<double>(keyframes_.size()) + 1;
-  return std::log(all / (1 + occurs_in_[static_cast<size_t>(word)])) + 1e-3;
+  const int keyframes = std::max(1, occurs_in_[static_cast<size_t>(word)]);
+  return std::log(1 + static_cast<double>(keyframes_.size()) / keyframes);
 }
 
 std::vector<AppearanceSearch::Match> AppearanceSearch::Query(const KeyframeFeatures& features) const {

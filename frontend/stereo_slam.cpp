@@ -61,13 +61,10 @@ CompactInput<SE3> StereoSlam::MakeInput(const StereoFrame& frame, const Odometry
   input.id = PoseId{frame.index};
   if (!previous_) return input;
   const double part = options_.odometry_sigma_part;
-  const double metres = part * step.T_previous_current.Translation().norm();
-  const double radians = part * step.T_previous_current.Angle();
+  const SE3& T = step.T_previous_current;
   Matrix<6, 6> covariance = step.covariance;
-  for (int k = 0; k < 3; ++k) {
-    covariance(k, k) += metres * metres;
-    covariance(k + 3, k + 3) += radians * radians;
-  }
+  covariance.diagonal().head<3>().array() += std::pow(part * T.Translation().norm(), 2);
+  covariance.diagonal().tail<3>().array() += std::pow(part * T.Angle(), 2);
   input.odometry = Link(*previous_, input.id, step.T_previous_current, covariance);
   return input;
 }

@@ -64,7 +64,7 @@ Json StatsToJson(const KittiRun& run, const KittiSequence& sequence, const std::
   json["fps"] = t.FramesPerSecond();
   json["seconds"] = t.seconds;
   json["milliseconds_per_frame"] = StagesToJson(t);
-  json["vocabulary_seconds"] = t.vocabulary / 1000;
+  if (t.vocabulary > 0) json["vocabulary_seconds"] = t.vocabulary / 1000;
   json["candidates"] = t.candidates;
   json["compared"] = t.compared;
   json["verified"] = t.verified;

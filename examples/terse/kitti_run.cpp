@@ -71,8 +71,11 @@ std::vector<SE3> OfCamera0(std::vector<SE3> T_world_left, const SE3& T_camera0_l
 KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames, const KittiRunOptions& options) {
   double before = SecondsNow();
   std::optional<AppearanceSearch> search;
-  if (options.by_appearance) search = MakeSearch(sequence, frames, options);
-  const double vocabulary = SecondsNow() - before;
+  double vocabulary = 0;
+  if (options.by_appearance) {
+    search = MakeSearch(sequence, frames, options);
+    vocabulary = SecondsNow() - before;
+  }
   KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}};
   KittiTotals& totals = run.totals;
   totals.vocabulary = 1000 * vocabulary;

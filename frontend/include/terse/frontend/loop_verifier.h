@@ -32,13 +32,16 @@ struct LoopVerifierOptions {
   int min_matches = 15;           // fewer: not tried further
   int min_inliers = 40;           // after the refinement
   double min_confirmed = 0.2;     // inliers among the points of the candidate that should be in view
-  double min_coverage = 0.2;      // of 8 x 4 image cells, those with inliers
-  double max_sigma_rho = 0.1;     // metres, the largest standard deviation of the translation
+  double min_coverage = 0.15;     // of 8 x 4 image cells, those with inliers
+  double max_sigma_rho = 0.15;    // metres, the largest standard deviation of the translation
   double max_sigma_phi = 0.01;    // radians, of the rotation
   int most_aligned = 450;         // points in the refinement
   double min_correlation = 0.8;   // of an aligned patch
+  double disparity_sigma = 0.2;   // pixels by which the calibration may be off, the same for all points
   InitialMotionOptions initial;
   StereoMotionOptions motion;
+
+  LoopVerifierOptions();
 };
 
 enum class LoopOutcome { kVerified, kFewMatches, kNoMotion, kFewInliers, kFewConfirmed, kPoorCoverage, kUncertain };
