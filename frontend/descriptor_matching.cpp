@@ -28,8 +28,8 @@ inline void Row(const BinaryDescriptor& a, const std::vector<BinaryDescriptor>& 
 
 TERSE_POPCOUNT void RowByInstruction(const BinaryDescriptor& a, const std::vector<BinaryDescriptor>& b, int* out) {
   for (const BinaryDescriptor& d : b) {
-    *out++ = __builtin_popcountll(a[0] ^ d[0]) + __builtin_popcountll(a[1] ^ d[1]) +
-             __builtin_popcountll(a[2] ^ d[2]) + __builtin_popcountll(a[3] ^ d[3]);
+    *out++ = __builtin_popcountll(a[0] ^ d[0]) + __builtin_popcountll(a[1] ^ d[1]) + __builtin_popcountll(a[2] ^ d[2]) +
+             __builtin_popcountll(a[3] ^ d[3]);
   }
 }
 

@@ -15,7 +15,7 @@ namespace {
 using std::size_t;
 
 constexpr int kCellColumns = 8, kCellRows = 4;
-constexpr double kAlignReach = 6;                           // pixels of the level
+constexpr double kAlignReach = 6;                            // pixels of the level
 constexpr double kLeastMagnified = 0.4, kMostMagnified = 3;  // between the two views: beyond, a patch looks different
 
 // A view of the current frame's pyramids: the level to look for a patch in, and how far apart its pixels lie there.
@@ -60,8 +60,7 @@ Refined AlignPoints(const StereoCamera& camera, const KeyframeFeatures& candidat
     if (magnified < kLeastMagnified || magnified > kMostMagnified) continue;
     const double margin = kPatchSize * magnified;
     const auto inside = [&](double u) { return u >= margin && u < camera.width - margin; };
-    if (!inside(expected[0]) || !inside(expected[2]) || expected[1] < margin ||
-        expected[1] >= camera.height - margin) {
+    if (!inside(expected[0]) || !inside(expected[2]) || expected[1] < margin || expected[1] >= camera.height - margin) {
       continue;
     }
     ++out.in_view;
@@ -74,8 +73,7 @@ Refined AlignPoints(const StereoCamera& camera, const KeyframeFeatures& candidat
     if (!in_left || in_left->correlation < options.min_correlation) continue;
     const double u = (in_left->x + 0.5) * sx - 0.5, v = (in_left->y + 0.5) * sy - 0.5;
     const double start = (u - (expected[0] - expected[2]) + 0.5) / sx - 0.5;
-    const auto in_right =
-        patch.Find(right.levels[view.level], start, in_left->y, view.spacing, true, kAlignReach);
+    const auto in_right = patch.Find(right.levels[view.level], start, in_left->y, view.spacing, true, kAlignReach);
     if (!in_right || in_right->correlation < options.min_correlation) continue;
     out.matches.push_back({measured, {u, v, (in_right->x + 0.5) * sx - 0.5}});
   }
@@ -225,10 +223,10 @@ LoopVerification LoopVerifier::Verify(PoseId id) {
   if (out.inliers < options_.min_inliers) return out;
   const bool certain = LargestSigma(out.covariance.topLeftCorner<3, 3>()) <= options_.max_sigma_rho &&
                        LargestSigma(out.covariance.bottomRightCorner<3, 3>()) <= options_.max_sigma_phi;
-  out.outcome = out.confirmed < options_.min_confirmed   ? LoopOutcome::kFewConfirmed
+  out.outcome = out.confirmed < options_.min_confirmed ? LoopOutcome::kFewConfirmed
                 : out.coverage < options_.min_coverage ? LoopOutcome::kPoorCoverage
-                : !certain                               ? LoopOutcome::kUncertain
-                                                         : LoopOutcome::kVerified;
+                : !certain                             ? LoopOutcome::kUncertain
+                                                       : LoopOutcome::kVerified;
   return out;
 }
 

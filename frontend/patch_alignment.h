@@ -13,7 +13,7 @@ class AlignmentTemplate {
   explicit AlignmentTemplate(const Patch& patch);
 
   struct Place {
-    double x = 0, y = 0;  // pixels of the image
+    double x = 0, y = 0;     // pixels of the image
     double correlation = 0;  // normalised, 1: equal up to brightness and contrast
   };
   // Gauss-Newton (inverse compositional, brightness and contrast free) from (x, y), with `spacing` pixels of the image

@@ -11,7 +11,9 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-double Since(Clock::time_point start) { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); }
+double Since(Clock::time_point start) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
 
 RelativePoseFactor<SE3> Link(PoseId from, PoseId to, const SE3& T_from_to, const Matrix<6, 6>& covariance) {
   const Matrix<6, 6> information = covariance.llt().solve(Matrix<6, 6>::Identity());
@@ -33,8 +35,8 @@ CompactOptions<SE3> StereoCompactOptions() {
   CompactOptions<SE3> out;
   out.strategy = Strategy::kFpfl;
   out.range = {3, 3, 8, 0.7};
-  out.min_loop_gain = 6;
-  out.min_pose_gain = 5;
+  out.min_loop_gain = 3;
+  out.min_pose_gain = 4;
   Vector<6> sigma;
   sigma << 0.02, 0.02, 0.03, 0.001, 0.001, 0.001;
   out.link_covariance = sigma.cwiseProduct(sigma).asDiagonal();
@@ -127,7 +129,8 @@ StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
     step.times.search = Since(start);
   }
   start = Clock::now();
-  step.decision = map_.AddPose(input, [&](PoseId candidate, PoseId current) { return Register(candidate, current, step); });
+  step.decision =
+      map_.AddPose(input, [&](PoseId candidate, PoseId current) { return Register(candidate, current, step); });
   const double others = appearance_ ? 0 : step.times.features;
   step.times.map = Since(start) - others - step.times.verification;
   if (step.decision.Kept()) {

@@ -116,7 +116,8 @@ void AddKittiCommand(CLI::App& app) {
                    "A thresholds.json; by default thresholds for a vehicle at ten frames a second")
       ->type_name("FILE");
   command->add_option("--frames", options->frames, "Only frames A, A + 1 ... B - 1; either may be left out")
-      ->check([](const std::string& text) { return ParseRange(text) ? "" : text + " is no range of frames like 0:100"; })
+      ->check(
+          [](const std::string& text) { return ParseRange(text) ? "" : text + " is no range of frames like 0:100"; })
       ->type_name("A:B");
   command
       ->add_option("--ground-truth", options->ground_truth,

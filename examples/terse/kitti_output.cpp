@@ -170,8 +170,9 @@ void PrintKittiSummary(const KittiRun& run, const std::optional<KittiErrors>& er
   std::cout << line;
   std::snprintf(line, sizeof(line),
                 "%s kept %zu poses (%.1f %%) and %d loops: %ld candidates, %ld compared, %ld verified, %ld refused\n",
-                Name(run.slam.Map().Options().strategy), kept, 100.0 * static_cast<double>(kept) / std::max(1, t.frames),
-                run.slam.Map().LinksKept(), t.candidates, t.compared, t.verified, t.refused);
+                Name(run.slam.Map().Options().strategy), kept,
+                100.0 * static_cast<double>(kept) / std::max(1, t.frames), run.slam.Map().LinksKept(), t.candidates,
+                t.compared, t.verified, t.refused);
   std::cout << line;
   if (errors) {
     PrintErrors("map", errors->map);

@@ -16,13 +16,13 @@ namespace terse {
 struct KittiTotals {
   StereoSlamTimes times;
   OdometryTimes odometry;
-  double waiting = 0;       // for images that the other thread had not decoded yet
-  double vocabulary = 0;    // finding one, for candidates by appearance; not part of the others
+  double waiting = 0;     // for images that the other thread had not decoded yet
+  double vocabulary = 0;  // finding one, for candidates by appearance; not part of the others
   int frames = 0, lost = 0;
-  long candidates = 0;      // pairs of poses that the search gave
-  long compared = 0;        // by descriptors at least
+  long candidates = 0;                           // pairs of poses that the search gave
+  long compared = 0;                             // by descriptors at least
   long verified = 0, accepted = 0, refused = 0;  // refused by the innovation test
-  double seconds = 0;       // wall time from the first frame to the last
+  double seconds = 0;                            // wall time from the first frame to the last
   double FramesPerSecond() const { return seconds > 0 ? frames / seconds : 0; }
 };
 

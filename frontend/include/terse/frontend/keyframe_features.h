@@ -18,11 +18,11 @@
 namespace terse {
 
 struct FeatureOptions {
-  int most = 700;             // features in a keyframe, at most: about 210 bytes each
-  int levels = 4;             // of the pyramid
-  double level_scale = 1.4;   // from one to the next
-  int fast_threshold = 10;    // grey levels; twice as many where that gives corners enough
-  double min_disparity = 1;   // pixels
+  int most = 700;              // features in a keyframe, at most: about 210 bytes each
+  int levels = 4;              // of the pyramid
+  double level_scale = 1.4;    // from one to the next
+  int fast_threshold = 10;     // grey levels; twice as many where that gives corners enough
+  double min_disparity = 1;    // pixels
   double max_disparity = 0.2;  // of the image width
 };
 

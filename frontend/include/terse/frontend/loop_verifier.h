@@ -6,10 +6,11 @@
 //  3. guided refinement: every point of the candidate is projected into both current images and its patch aligned there
 //     to sub-pixel, at the scale that its depth asks for; the motion is estimated again from these;
 //  4. the outcome is taken only with enough inliers, with a fair share of the points that should be seen confirmed,
-//     spread over the image, and a covariance below bounds. Whether it agrees with the map is tested there (innovation.h).
+//     spread over the image, and a covariance below bounds. Whether it agrees with the map is tested there
+//     (innovation.h).
 //
-// The candidates' features (keyframe_features.h) are stored here, those of the current frame are extracted when they are
-// first needed. Images are held of the current frame only, so memory grows with the stored keyframes alone.
+// The candidates' features (keyframe_features.h) are stored here, those of the current frame are extracted when they
+// are first needed. Images are held of the current frame only, so memory grows with the stored keyframes alone.
 //
 // Deterministic. Not thread-safe.
 
@@ -27,17 +28,17 @@ namespace terse {
 
 struct LoopVerifierOptions {
   FeatureOptions features;
-  int max_distance = 70;          // bits of 256 in which matching descriptors differ, at most
-  double ratio = 0.85;            // of the next best's distance that the best's must be below
-  int min_matches = 15;           // fewer: not tried further
-  int min_inliers = 40;           // after the refinement
-  double min_confirmed = 0.2;     // inliers among the points of the candidate that should be in view
-  double min_coverage = 0.15;     // of 8 x 4 image cells, those with inliers
-  double max_sigma_rho = 0.15;    // metres, the largest standard deviation of the translation
-  double max_sigma_phi = 0.01;    // radians, of the rotation
-  int most_aligned = 450;         // points in the refinement
-  double min_correlation = 0.8;   // of an aligned patch
-  double disparity_sigma = 0.2;   // pixels by which the calibration may be off, the same for all points
+  int max_distance = 70;         // bits of 256 in which matching descriptors differ, at most
+  double ratio = 0.85;           // of the next best's distance that the best's must be below
+  int min_matches = 15;          // fewer: not tried further
+  int min_inliers = 40;          // after the refinement
+  double min_confirmed = 0.2;    // inliers among the points of the candidate that should be in view
+  double min_coverage = 0.15;    // of 8 x 4 image cells, those with inliers
+  double max_sigma_rho = 0.15;   // metres, the largest standard deviation of the translation
+  double max_sigma_phi = 0.01;   // radians, of the rotation
+  int most_aligned = 450;        // points in the refinement
+  double min_correlation = 0.8;  // of an aligned patch
+  double disparity_sigma = 0.2;  // pixels by which the calibration may be off, the same for all points
   InitialMotionOptions initial;
   StereoMotionOptions motion;
 
