@@ -27,6 +27,7 @@ void AddCovarianceCommand(CLI::App& app);
 void AddTableCommand(CLI::App& app);
 void AddCompactTable(CLI::App& table);  // a subcommand of table
 void AddSweepCommand(CLI::App& app);
+void AddKittiCommand(CLI::App& app);
 
 // --rotation-information and --repair-information, for every subcommand that reads a graph.
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);

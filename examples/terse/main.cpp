@@ -61,6 +61,7 @@ int Run(int argc, char** argv) {
   terse::AddSolveCommand(app);
   terse::AddCompactCommand(app);
   terse::AddOnlineCommand(app);
+  terse::AddKittiCommand(app);
   terse::AddCovarianceCommand(app);
   terse::AddConvertCommand(app);
   terse::AddEvaluateCommand(app);

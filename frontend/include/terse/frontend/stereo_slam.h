@@ -1,0 +1,101 @@
+#pragma once
+// Compact pose SLAM with a stereo camera: StereoOdometry and LoopVerifier bound to CompactPoseSlam.
+//
+// Every frame is offered to the map with the odometry since the frame before it, also where tracking was lost (then by
+// constant velocity, with an inflated covariance). The map searches by distance and information (compact_pose_slam.h);
+// what it wants to link goes to the verifier, best first. The features of a pose are stored when it is kept.
+//
+// What is registered: with kFpfl and kApfl, the candidates in range that promise more than min_loop_gain, best first,
+// until `most_verifications` of them have got beyond comparing descriptors. With kApal, all poses are kept, every pose
+// in range but the one before is registered, and every link that the verifier takes is added, whatever it tells; the
+// innovation test does not apply. With an AppearanceSearch given, the candidates are instead the keyframes that look
+// alike, all poses are kept and all verified links added.
+//
+// Deterministic. Not thread-safe.
+
+#include <memory>
+#include <vector>
+
+#include "terse/compact/compact_pose_slam.h"
+#include "terse/frontend/appearance_search.h"
+#include "terse/frontend/loop_verifier.h"
+#include "terse/frontend/stereo_odometry.h"
+
+namespace terse {
+
+// FPFL with thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in height, 8 m along
+// the view, 40 degrees; link covariance as verified loops have it.
+CompactOptions<SE3> StereoCompactOptions();
+
+struct StereoSlamOptions {
+  CompactOptions<SE3> compact = StereoCompactOptions();
+  StereoOdometryOptions odometry;
+  LoopVerifierOptions verifier;
+  int most_verifications = 4;  // of a frame, beyond comparing descriptors; kApal has no such bound
+  // Errors of odometry that persist from frame to frame (calibration, rolling shutter, the ground's texture) add up
+  // faster than the covariances of single frames say: so much of the motion is added to its standard deviation, and so
+  // much of the turn.
+  double odometry_sigma_part = 0.01;
+  // Features of so many keyframes at most are stored within place_radius (metres) and place_angle (radians) of each
+  // other, the oldest are forgotten: driving the same street again and again needs no more memory.
+  int most_per_place = 4;
+  double place_radius = 2, place_angle = 0.35;
+};
+
+// One candidate that was compared with a frame.
+struct LoopAttempt {
+  PoseId candidate, current;
+  LoopVerification verification;
+  double milliseconds = 0;
+};
+
+// Milliseconds of wall time.
+struct StereoSlamTimes {
+  double odometry = 0, features = 0, verification = 0, search = 0, map = 0;
+  double Total() const { return odometry + features + verification + search + map; }
+};
+
+struct StereoSlamStep {
+  PoseId id;  // the frame's index
+  OdometryStep odometry;
+  Decision decision;
+  std::vector<LoopAttempt> attempts;  // those that were verified were offered to the map
+  StereoSlamTimes times;
+};
+
+class StereoSlam {
+ public:
+  // Throws std::invalid_argument if the camera or an option makes no sense. `appearance`: candidates by appearance.
+  explicit StereoSlam(const StereoCamera& camera, const StereoSlamOptions& options = {},
+                      std::optional<AppearanceSearch> appearance = std::nullopt);
+  ~StereoSlam();
+  StereoSlam(StereoSlam&&) noexcept;
+  StereoSlam& operator=(StereoSlam&&) noexcept;
+
+  // Indices are those of new poses, each only once. Throws std::invalid_argument if not so, or if an image has the
+  // wrong type or size.
+  StereoSlamStep AddFrame(const StereoFrame& frame);
+
+  // Iterates the map to its optimum.
+  BatchResult<SE3> Finish() { return map_.Finish(); }
+  const CompactPoseSlam<SE3>& Map() const { return map_; }
+  const LoopVerifier& Verifier() const { return verifier_; }
+  // The odometry alone, all frames: T_first_frame.
+  const std::vector<SE3>& OdometryTrajectory() const { return odometry_trajectory_; }
+
+ private:
+  CompactInput<SE3> MakeInput(const StereoFrame& frame, const OdometryStep& step) const;
+  std::optional<RelativePoseFactor<SE3>> Register(PoseId candidate, PoseId current, StereoSlamStep& step);
+  void StoreFeatures(PoseId id);
+
+  StereoSlamOptions options_;
+  StereoOdometry odometry_;
+  LoopVerifier verifier_;
+  CompactPoseSlam<SE3> map_;
+  std::optional<AppearanceSearch> appearance_;
+  std::optional<PoseId> previous_;
+  std::vector<PoseId> stored_;  // in the order of arrival
+  std::vector<SE3> odometry_trajectory_;
+};
+
+}  // namespace terse

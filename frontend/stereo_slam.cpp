@@ -1,0 +1,147 @@
+#include "terse/frontend/stereo_slam.h"
+
+#include <Eigen/Cholesky>
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+
+namespace terse {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double Since(Clock::time_point start) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
+
+RelativePoseFactor<SE3> Link(PoseId from, PoseId to, const SE3& T_from_to, const Matrix<6, 6>& covariance) {
+  const Matrix<6, 6> information = covariance.llt().solve(Matrix<6, 6>::Identity());
+  return {from, to, T_from_to, (information + information.transpose()) / 2};
+}
+
+CompactOptions<SE3> MapOptions(const StereoSlamOptions& options, bool by_appearance) {
+  CompactOptions<SE3> out = options.compact;
+  if (out.strategy == Strategy::kRfpfl) {
+    throw std::invalid_argument("stereo options: a random selection needs a graph that is known beforehand");
+  }
+  if (by_appearance) out.strategy = Strategy::kApal;
+  return out;
+}
+
+}  // namespace
+
+CompactOptions<SE3> StereoCompactOptions() {
+  CompactOptions<SE3> out;
+  out.strategy = Strategy::kFpfl;
+  out.range = {3, 3, 8, 0.7};
+  out.min_loop_gain = 3;
+  out.min_pose_gain = 4;
+  Vector<6> sigma;
+  sigma << 0.02, 0.02, 0.03, 0.001, 0.001, 0.001;
+  out.link_covariance = sigma.cwiseProduct(sigma).asDiagonal();
+  return out;
+}
+
+StereoSlam::StereoSlam(const StereoCamera& camera, const StereoSlamOptions& options,
+                       std::optional<AppearanceSearch> appearance)
+    : options_(options),
+      odometry_(camera, options.odometry),
+      verifier_(camera, options.verifier),
+      map_(MapOptions(options, appearance.has_value())),
+      appearance_(std::move(appearance)) {
+  if (options.most_verifications < 0 || options.most_per_place < 1 || !(options.odometry_sigma_part >= 0)) {
+    throw std::invalid_argument("stereo options: a number is out of its domain");
+  }
+}
+StereoSlam::~StereoSlam() = default;
+StereoSlam::StereoSlam(StereoSlam&&) noexcept = default;
+StereoSlam& StereoSlam::operator=(StereoSlam&&) noexcept = default;
+
+CompactInput<SE3> StereoSlam::MakeInput(const StereoFrame& frame, const OdometryStep& step) const {
+  CompactInput<SE3> input;
+  input.id = PoseId{frame.index};
+  if (!previous_) return input;
+  const double part = options_.odometry_sigma_part;
+  const SE3& T = step.T_previous_current;
+  Matrix<6, 6> covariance = step.covariance;
+  covariance.diagonal().head<3>().array() += std::pow(part * T.Translation().norm(), 2);
+  covariance.diagonal().tail<3>().array() += std::pow(part * T.Angle(), 2);
+  input.odometry = Link(*previous_, input.id, step.T_previous_current, covariance);
+  return input;
+}
+
+std::optional<RelativePoseFactor<SE3>> StereoSlam::Register(PoseId candidate, PoseId current, StereoSlamStep& step) {
+  if (!verifier_.Has(candidate)) return std::nullopt;
+  if (map_.Options().strategy != Strategy::kApal) {
+    int deep = 0;
+    for (const LoopAttempt& a : step.attempts) deep += a.verification.outcome != LoopOutcome::kFewMatches;
+    if (deep >= options_.most_verifications) return std::nullopt;
+  }
+  auto start = Clock::now();
+  verifier_.CurrentFeatures();
+  step.times.features += Since(start);
+  start = Clock::now();
+  LoopAttempt attempt{candidate, current, verifier_.Verify(candidate), 0};
+  attempt.milliseconds = Since(start);
+  step.times.verification += attempt.milliseconds;
+  const LoopVerification& v = attempt.verification;
+  step.attempts.push_back(attempt);
+  if (!v.Verified()) return std::nullopt;
+  return Link(candidate, current, v.T_candidate_current, v.covariance);
+}
+
+void StereoSlam::StoreFeatures(PoseId id) {
+  verifier_.Keep(id);
+  // With kApal a candidate without features would be a link that is missing.
+  if (map_.Options().strategy != Strategy::kApal) {
+    std::vector<std::size_t> near;
+    const SE3 T_current_world = map_.Estimate(id).Inverse();
+    for (std::size_t k = 0; k < stored_.size(); ++k) {
+      const SE3 T = T_current_world * map_.Estimate(stored_[k]);
+      if (T.Translation().norm() < options_.place_radius && T.Angle() < options_.place_angle) near.push_back(k);
+    }
+    if (near.size() >= static_cast<std::size_t>(options_.most_per_place)) {
+      verifier_.Forget(stored_[near.front()]);
+      stored_.erase(stored_.begin() + static_cast<long>(near.front()));
+    }
+  }
+  stored_.push_back(id);
+}
+
+StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
+  StereoSlamStep step;
+  step.id = PoseId{frame.index};
+  if (map_.HasSeen(step.id)) throw std::invalid_argument("frame " + std::to_string(frame.index) + " was added already");
+  verifier_.SetCurrent(frame);
+  auto start = Clock::now();
+  step.odometry = odometry_.Track(frame);
+  step.times.odometry = Since(start);
+  CompactInput<SE3> input = MakeInput(frame, step.odometry);
+  if (appearance_) {
+    start = Clock::now();
+    const KeyframeFeatures& features = verifier_.CurrentFeatures();
+    step.times.features = Since(start);
+    start = Clock::now();
+    input.linkable.emplace();
+    for (const AppearanceSearch::Match& match : appearance_->Query(features)) input.linkable->push_back(match.id);
+    appearance_->Add(step.id, features);
+    step.times.search = Since(start);
+  }
+  start = Clock::now();
+  step.decision =
+      map_.AddPose(input, [&](PoseId candidate, PoseId current) { return Register(candidate, current, step); });
+  const double others = appearance_ ? 0 : step.times.features;
+  step.times.map = Since(start) - others - step.times.verification;
+  if (step.decision.Kept()) {
+    start = Clock::now();
+    StoreFeatures(step.id);
+    step.times.features += Since(start);
+  }
+  previous_ = step.id;
+  const SE3 before = odometry_trajectory_.empty() ? SE3() : odometry_trajectory_.back();
+  odometry_trajectory_.push_back(before * step.odometry.T_previous_current);
+  return step;
+}
+
+}  // namespace terse

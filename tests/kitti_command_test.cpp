@@ -1,0 +1,99 @@
+// terse kitti, run as a user would on a few rendered frames.
+
+#include <opencv2/imgcodecs.hpp>
+
+#include "terse/core/graph_file.h"
+#include "terse/core/trajectory.h"
+#include "terse/frontend/kitti_calibration.h"
+#include "testing_command.h"
+#include "testing_street.h"
+
+namespace terse::testing {
+namespace {
+
+constexpr int kFrames = 9;
+
+class KittiCommandTest : public CommandTest {
+ protected:
+  void SetUp() override {
+    CommandTest::SetUp();
+    static const ThereAndBack scene = MakeThereAndBack(0, kFrames);
+    std::filesystem::create_directories(folder_ / "street/image_0");
+    std::filesystem::create_directories(folder_ / "street/image_1");
+    std::string times;
+    Trajectory truth;
+    truth.format = TrajectoryFormat::kKitti;
+    for (const StereoFrame& frame : scene.frames) {
+      const std::string name = "00000" + std::to_string(frame.index) + ".png";
+      ASSERT_TRUE(cv::imwrite(Path("street/image_0/" + name), frame.left));
+      ASSERT_TRUE(cv::imwrite(Path("street/image_1/" + name), frame.right));
+      times += std::to_string(frame.time) + "\n";
+      truth.stamps.push_back(frame.index);
+      truth.T_world_body.push_back(scene.T_world_camera[static_cast<std::size_t>(frame.index)]);
+    }
+    Write("street/times.txt", times);
+    WriteKittiCalibration(scene.camera, Path("street/calib.txt"));
+    WriteKitti(truth, Path("truth.txt"));
+  }
+};
+
+TEST_F(KittiCommandTest, WritesTrajectoryMapLoopsAndStatistics) {
+  const Outcome outcome = Succeed("kitti street --output out --strategy apfl --ground-truth truth.txt");
+  EXPECT_NE(outcome.out.find("ATE"), std::string::npos) << outcome.out;
+  EXPECT_NE(outcome.out.find("frames per second"), std::string::npos) << outcome.out;
+  EXPECT_EQ(outcome.err, "");
+  const Trajectory kitti = ReadTrajectory(Path("out/trajectory.kitti.txt"));
+  const Trajectory tum = ReadTrajectory(Path("out/trajectory.tum"));
+  ASSERT_EQ(kitti.T_world_body.size(), static_cast<std::size_t>(kFrames));
+  ASSERT_EQ(tum.T_world_body.size(), kitti.T_world_body.size());
+  EXPECT_NEAR(tum.stamps.back(), 0.1 * (kFrames - 1), 1e-6);
+  for (std::size_t k = 0; k < kitti.T_world_body.size(); ++k) {
+    EXPECT_LT(kitti.T_world_body[k].Local(tum.T_world_body[k]).norm(), 1e-5);
+  }
+  const auto graph = std::get<PoseGraph<SE3>>(ReadGraph(Path("out/compact.g2o")).graph);
+  EXPECT_EQ(graph.Poses().size(), static_cast<std::size_t>(kFrames));
+  const auto stats = JsonFile("out/stats.json");
+  EXPECT_EQ(stats.at("frames"), kFrames);
+  EXPECT_EQ(stats.at("frames_lost"), 0);
+  EXPECT_EQ(stats.at("strategy"), "apfl");
+  EXPECT_EQ(stats.at("poses_kept"), kFrames);
+  EXPECT_GT(stats.at("fps"), 0);
+  EXPECT_GT(stats.at("milliseconds_per_frame").at("odometry"), 0);
+  EXPECT_LT(stats.at("errors").at("ate_m"), 0.2);
+  EXPECT_TRUE(stats.at("errors").at("t_rel_percent").is_null()) << "shorter than 100 m";
+  EXPECT_EQ(CsvRows(Read("out/loops.csv")).size(), stats.at("compared"));
+  EXPECT_EQ(CsvRows(Read("out/covariances.csv")).size(), static_cast<std::size_t>(kFrames));
+  // What it wrote is a compact map like any other.
+  EXPECT_EQ(JsonFile("out/thresholds.json").at("dimension"), 3);
+  Succeed("kitti street --output again --thresholds out/thresholds.json --quiet");
+}
+
+TEST_F(KittiCommandTest, ChoosesFramesAndSearch) {
+  EXPECT_EQ(Succeed("kitti street --output part --frames 2:6 --ground-truth truth.txt --quiet").out, "");
+  EXPECT_EQ(JsonFile("part/stats.json").at("frames"), 4);
+  EXPECT_EQ(ReadTrajectory(Path("part/trajectory.kitti.txt")).T_world_body.size(), 4u);
+  EXPECT_NEAR(ReadTrajectory(Path("part/trajectory.tum")).stamps.front(), 0.2, 1e-6);
+  const Outcome both = Succeed("kitti street --output both --candidates both");
+  EXPECT_NE(both.out.find("appearance"), std::string::npos) << both.out;
+  EXPECT_EQ(JsonFile("both/appearance/stats.json").at("poses_kept"), kFrames);
+}
+
+TEST_F(KittiCommandTest, ErrorsNameTheCause) {
+  ExpectFailure("kitti nowhere --output out", 1, "nowhere");
+  ExpectFailure("kitti street --output out --frames 5:20", 1, "5:20");
+  ExpectFailure("kitti street --output out --frames 5", 2, "no range");
+  ExpectFailure("kitti street --output out --frames 5:5", 2, "no range");
+  ExpectFailure("kitti street --output out --strategy rfpfl", 2, "rfpfl");
+  ExpectFailure("kitti street --output out --ground-truth missing.txt", 1, "missing.txt");
+  ExpectFailure("kitti street --output out --thresholds missing.json", 1, "missing.json");
+  Write("file", "");
+  ExpectFailure("kitti street --output file", 1, "in the way");
+  Write("two.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1\n");
+  ExpectFailure("kitti street --output out --ground-truth two.txt", 1, "no pose for frame 2");
+  Write("street/image_1/000003.png", "no image");
+  ExpectFailure("kitti street --output broken --quiet", 1, "000003.png");
+  EXPECT_FALSE(Exists("broken/loops.csv")) << "nothing half done stays";
+}
+
+}  // namespace
+}  // namespace terse::testing
