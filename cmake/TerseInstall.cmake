@@ -1,5 +1,5 @@
-# What `find_package(terse CONFIG)` reads: terse::lie, terse::core, terse::covariance, terse::compact, and terse::terse
-# for all of them. SuiteSparse is linked inside core and does not show.
+# What `find_package(terse CONFIG)` reads: terse::lie, terse::core, terse::covariance, terse::compact, terse::terse
+# for all of these, and terse::frontend. SuiteSparse is linked inside core and does not show.
 include(CMakePackageConfigHelpers)
 set(terse_cmakedir ${CMAKE_INSTALL_LIBDIR}/cmake/terse)
 

@@ -34,7 +34,8 @@ END
 "$terse" generate stereo --help >/dev/null 2>&1 || exit 0
 
 printf '\nA street driven twice by a stereo camera, 400 frames\n\n'
-"$terse" generate stereo --laps 2 --frames 400 --size 814x246 --seed 1 --output "$out/street"
+rm -rf "$out/street"
+"$terse" generate stereo --laps 2 --frames 400 --size 920x278 --seed 1 --output "$out/street"
 "$terse" kitti "$out/street" --ground-truth "$out/street/poses.txt" --output "$out/street_fpfl"
 cat <<END
 
