@@ -33,7 +33,7 @@ struct StereoMotionOptions {
   // Covariance = factor * scale^2 * (Schur complement)^-1 + floor. The residuals' own scale is too optimistic: errors
   // of tracks are correlated with the texture, the disparity and each other. The factor, on variances, was found on
   // rendered sequences with exact ground truth.
-  double covariance_factor = 3.5;
+  double covariance_factor = 4.5;
   double min_residual_scale = 0.1;  // pixels
   double sigma_rho_floor = 1e-3;    // metres, standard deviation
   double sigma_phi_floor = 2e-5;    // radians
