@@ -35,8 +35,8 @@ CompactOptions<SE3> StereoCompactOptions() {
   CompactOptions<SE3> out;
   out.strategy = Strategy::kFpfl;
   out.range = {3, 3, 8, 0.7};
-  out.min_loop_gain = 3;
-  out.min_pose_gain = 4;
+  out.min_loop_gain = 4;
+  out.min_pose_gain = 5;
   Vector<6> sigma;
   sigma << 0.02, 0.02, 0.03, 0.001, 0.001, 0.001;
   out.link_covariance = sigma.cwiseProduct(sigma).asDiagonal();
@@ -50,7 +50,8 @@ StereoSlam::StereoSlam(const StereoCamera& camera, const StereoSlamOptions& opti
       verifier_(camera, options.verifier),
       map_(MapOptions(options, appearance.has_value())),
       appearance_(std::move(appearance)) {
-  if (options.most_verifications < 0 || options.most_per_place < 1 || !(options.odometry_sigma_part >= 0)) {
+  if (options.most_verifications < 0 || options.most_per_place < 1 || !(options.odometry_length_part >= 0) ||
+      !(options.odometry_angle_part >= 0)) {
     throw std::invalid_argument("stereo options: a number is out of its domain");
   }
 }
@@ -62,11 +63,10 @@ CompactInput<SE3> StereoSlam::MakeInput(const StereoFrame& frame, const Odometry
   CompactInput<SE3> input;
   input.id = PoseId{frame.index};
   if (!previous_) return input;
-  const double part = options_.odometry_sigma_part;
   const SE3& T = step.T_previous_current;
   Matrix<6, 6> covariance = step.covariance;
-  covariance.diagonal().head<3>().array() += std::pow(part * T.Translation().norm(), 2);
-  covariance.diagonal().tail<3>().array() += std::pow(part * T.Angle(), 2);
+  covariance.diagonal().head<3>().array() += std::pow(options_.odometry_length_part * T.Translation().norm(), 2);
+  covariance.diagonal().tail<3>().array() += std::pow(options_.odometry_angle_part * T.Angle(), 2);
   input.odometry = Link(*previous_, input.id, step.T_previous_current, covariance);
   return input;
 }
