@@ -49,10 +49,11 @@ struct Refined {
 // Stage 3: the points of `candidate` found in the current images, given about where the camera is.
 Refined AlignPoints(const StereoCamera& camera, const KeyframeFeatures& candidate, const ImagePyramid& left,
                     const ImagePyramid& right, const SE3& T_candidate_current, const LoopVerifierOptions& options) {
+  const Vector<3> offset = {0, 0, options.disparity_offset};
   Refined out;
   const SE3 T_current_candidate = T_candidate_current.Inverse();
   for (const size_t k : Sample(candidate.Size(), options.most_aligned)) {
-    const Vector<3> measured = candidate.Measured(k);
+    const Vector<3> measured = candidate.Measured(k) + offset;
     const Vector<3> p = camera.Triangulate(measured), q = T_current_candidate * p;
     if (q.z() <= 0) continue;
     const Vector<3> expected = camera.Project(q);
@@ -72,10 +73,10 @@ Refined AlignPoints(const StereoCamera& camera, const KeyframeFeatures& candidat
                                     (expected[1] + 0.5) / sy - 0.5, view.spacing, false, kAlignReach);
     if (!in_left || in_left->correlation < options.min_correlation) continue;
     const double u = (in_left->x + 0.5) * sx - 0.5, v = (in_left->y + 0.5) * sy - 0.5;
-    const double start = (u - (expected[0] - expected[2]) + 0.5) / sx - 0.5;
+    const double start = (u - (expected[0] - expected[2]) - options.disparity_offset + 0.5) / sx - 0.5;
     const auto in_right = patch.Find(right.levels[view.level], start, in_left->y, view.spacing, true, kAlignReach);
     if (!in_right || in_right->correlation < options.min_correlation) continue;
-    out.matches.push_back({measured, {u, v, (in_right->x + 0.5) * sx - 0.5}});
+    out.matches.push_back({measured, Vector<3>(u, v, (in_right->x + 0.5) * sx - 0.5) + offset});
   }
   return out;
 }
@@ -147,6 +148,11 @@ LoopVerifier::~LoopVerifier() = default;
 LoopVerifier::LoopVerifier(LoopVerifier&&) noexcept = default;
 LoopVerifier& LoopVerifier::operator=(LoopVerifier&&) noexcept = default;
 
+void LoopVerifier::SetDisparityOffset(double offset, double sigma) {
+  options_.disparity_offset = offset;
+  options_.disparity_sigma = sigma;
+}
+
 void LoopVerifier::SetCurrent(const StereoFrame& frame) {
   const cv::Size size(camera_.width, camera_.height);
   if (frame.left.type() != CV_8UC1 || frame.right.type() != CV_8UC1 || frame.left.size() != size ||
@@ -190,8 +196,10 @@ LoopVerification LoopVerifier::Verify(PoseId id) {
   const KeyframeFeatures& candidate = *it->second;
   LoopVerification out;
   std::vector<StereoMatch> matches;
+  const Vector<3> offset = {0, 0, options_.disparity_offset};
   for (const auto& [i, j] : MatchDescriptors(candidate, current, options_.max_distance, options_.ratio)) {
-    matches.push_back({candidate.Measured(static_cast<size_t>(i)), current.Measured(static_cast<size_t>(j))});
+    matches.push_back(
+        {candidate.Measured(static_cast<size_t>(i)) + offset, current.Measured(static_cast<size_t>(j)) + offset});
   }
   out.matches = static_cast<int>(matches.size());
   if (out.matches < options_.min_matches) return out;

@@ -117,6 +117,9 @@ StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
   auto start = Clock::now();
   step.odometry = odometry_.Track(frame);
   step.times.odometry = Since(start);
+  if (options_.odometry.estimate_disparity_offset) {
+    verifier_.SetDisparityOffset(odometry_.DisparityOffset(), odometry_.DisparityOffsetSigma());
+  }
   CompactInput<SE3> input = MakeInput(frame, step.odometry);
   if (appearance_) {
     start = Clock::now();

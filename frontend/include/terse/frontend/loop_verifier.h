@@ -38,7 +38,8 @@ struct LoopVerifierOptions {
   double max_sigma_phi = 0.01;   // radians, of the rotation
   int most_aligned = 450;        // points in the refinement
   double min_correlation = 0.8;  // of an aligned patch
-  double disparity_sigma = 0.2;  // pixels by which the calibration may be off, the same for all points
+  double disparity_offset = 0;   // what has to be added to all u_R, pixels
+  double disparity_sigma = 0.2;  // its standard deviation: by so much the calibration may be off
   InitialMotionOptions initial;
   StereoMotionOptions motion;
 
@@ -69,6 +70,8 @@ class LoopVerifier {
   LoopVerifier(LoopVerifier&&) noexcept;
   LoopVerifier& operator=(LoopVerifier&&) noexcept;
 
+  // As odometry estimates it (StereoOdometry::DisparityOffset), for all frames, stored ones too. Pixels.
+  void SetDisparityOffset(double offset, double sigma);
   // The frame that candidates are compared with from now on. Throws std::invalid_argument if an image has the wrong
   // type or size; nothing is changed then.
   void SetCurrent(const StereoFrame& frame);
