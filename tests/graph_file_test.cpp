@@ -300,7 +300,7 @@ TEST(GraphFileTest, ADecimalCommaLocaleChangesNothing) {
 }
 
 template <class Pose>
-class RoundTripTest : public testing::Test {
+class RoundTripTest : public ::testing::Test {
  protected:
   double Draw() { return normal_(random_) * std::pow(10, normal_(random_)); }
   Pose DrawPose() {
@@ -342,7 +342,7 @@ class RoundTripTest : public testing::Test {
   std::mt19937 random_{21};
   std::normal_distribution<double> normal_;
 };
-using Groups = testing::Types<SE2, SE3>;
+using Groups = ::testing::Types<SE2, SE3>;
 TYPED_TEST_SUITE(RoundTripTest, Groups);
 
 template <class Pose>

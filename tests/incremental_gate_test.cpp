@@ -192,8 +192,8 @@ TYPED_TEST(IncrementalGateTest, GainIsThatOfTheOldPosesInformation) {
       } else {
         const Eigen::Index m = after.b.size() - before.b.size();
         EXPECT_NEAR(report.gain_nats,
-                    0.5 * (LogDeterminant(after.H) - LogDeterminant(before.H) -
-                           LogDeterminant(after.H.bottomRightCorner(m, m))),
+                    0.5 * (testing::LogDeterminant(after.H) - testing::LogDeterminant(before.H) -
+                           testing::LogDeterminant(after.H.bottomRightCorner(m, m))),
                     1e-6);
       }
       largest = std::max(largest, report.gain_nats);

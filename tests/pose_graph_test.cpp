@@ -35,8 +35,8 @@ RelativePoseFactor<Pose> Edge(std::int64_t from, std::int64_t to) {
 }
 
 template <class Pose>
-class PoseGraphTest : public testing::Test {};
-using Groups = testing::Types<SE2, SE3>;
+class PoseGraphTest : public ::testing::Test {};
+using Groups = ::testing::Types<SE2, SE3>;
 TYPED_TEST_SUITE(PoseGraphTest, Groups);
 
 TYPED_TEST(PoseGraphTest, AnyIdInAnyOrderKeepsItsIndex) {
