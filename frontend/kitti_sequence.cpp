@@ -7,10 +7,10 @@
 #include <filesystem>
 #include <mutex>
 #include <numeric>
-#include <opencv2/imgcodecs.hpp>
 #include <thread>
 
 #include "core/text_lines.h"
+#include "frontend/png_file.h"
 
 namespace terse {
 namespace {
@@ -86,28 +86,6 @@ std::vector<double> ReadTimes(const std::string& path, std::size_t images) {
   return times;
 }
 
-// libpng prints where a file ends too early, so look for the end before it does.
-void CheckWholePng(const std::string& bytes, const std::string& path) {
-  constexpr std::string_view kSignature = "\x89PNG\r\n\x1a\n";
-  if (bytes.compare(0, kSignature.size(), kSignature) != 0) throw FileError(path, 0, "not a PNG image");
-  if (bytes.find("IEND", bytes.size() - std::min<std::size_t>(bytes.size(), 64)) == std::string::npos) {
-    throw FileError(path, 0, "the PNG image is cut off");
-  }
-}
-
-cv::Mat ReadGrey(const std::string& path) {
-  const std::string bytes = ReadAll(path);
-  CheckWholePng(bytes, path);
-  const cv::Mat encoded(1, static_cast<int>(bytes.size()), CV_8U, const_cast<char*>(bytes.data()));
-  cv::Mat image;
-  try {
-    image = cv::imdecode(encoded, cv::IMREAD_GRAYSCALE);
-  } catch (const cv::Exception&) {  // sizes beyond OpenCV's limits
-  }
-  if (image.empty()) throw FileError(path, 0, "the PNG image cannot be decoded");
-  return image;
-}
-
 }  // namespace
 
 KittiSequence::KittiSequence(const std::string& directory) : directory_(directory), pair_(FindPair(directory)) {
@@ -122,7 +100,7 @@ KittiSequence::KittiSequence(const std::string& directory) : directory_(director
   } else {
     for (std::size_t k = 0; k < names_.size(); ++k) times_.push_back(static_cast<double>(k) / kNominalRate);
   }
-  const cv::Mat first = ReadGrey(LeftPath(0));
+  const cv::Mat first = ReadGreyPng(LeftPath(0));
   calibration_.camera.width = first.cols;
   calibration_.camera.height = first.rows;
 }
@@ -149,7 +127,7 @@ std::string KittiSequence::RightPath(int index) const {
 }
 
 cv::Mat KittiSequence::ReadImage(const std::string& path) const {
-  cv::Mat image = ReadGrey(path);
+  cv::Mat image = ReadGreyPng(path);
   const StereoCamera& camera = calibration_.camera;
   if (image.cols == camera.width && image.rows == camera.height) return image;
   throw FileError(path, 0,

@@ -4,10 +4,10 @@
 #include <exception>
 #include <filesystem>
 #include <mutex>
-#include <opencv2/imgcodecs.hpp>
 #include <thread>
 #include <vector>
 
+#include "frontend/png_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/trajectory.h"
 #include "terse/frontend/kitti_calibration.h"
@@ -17,10 +17,6 @@ namespace terse {
 namespace {
 
 namespace fs = std::filesystem;
-
-// Noise does not compress: what costs time for a few per cent is left out.
-const std::vector<int> kFastPng = {cv::IMWRITE_PNG_COMPRESSION, 1, cv::IMWRITE_PNG_STRATEGY,
-                                   cv::IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY};
 
 void MakeImageFolder(const fs::path& folder) {
   std::error_code error;
@@ -34,13 +30,7 @@ void MakeImageFolder(const fs::path& folder) {
 void WriteImage(const fs::path& folder, int index, const cv::Mat& image) {
   char name[32];
   std::snprintf(name, sizeof name, "%06d.png", index);
-  const std::string path = (folder / name).string();
-  bool written = false;
-  try {
-    written = cv::imwrite(path, image, kFastPng);
-  } catch (const cv::Exception&) {
-  }
-  if (!written) throw FileError(path, 0, "cannot write");
+  WriteGreyPng((folder / name).string(), image);
 }
 
 // Runs work(k) for k from 0 to count - 1, each once; the first exception ends it.

@@ -1,7 +1,6 @@
 // terse kitti, run as a user would on a few rendered frames.
 
-#include <opencv2/imgcodecs.hpp>
-
+#include "frontend/png_file.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/trajectory.h"
 #include "terse/frontend/kitti_calibration.h"
@@ -25,8 +24,8 @@ class KittiCommandTest : public CommandTest {
     truth.format = TrajectoryFormat::kKitti;
     for (const StereoFrame& frame : scene.frames) {
       const std::string name = "00000" + std::to_string(frame.index) + ".png";
-      ASSERT_TRUE(cv::imwrite(Path("street/image_0/" + name), frame.left));
-      ASSERT_TRUE(cv::imwrite(Path("street/image_1/" + name), frame.right));
+      WriteGreyPng(Path("street/image_0/" + name), frame.left);
+      WriteGreyPng(Path("street/image_1/" + name), frame.right);
       times += std::to_string(frame.time) + "\n";
       truth.stamps.push_back(frame.index);
       truth.T_world_body.push_back(scene.T_world_camera[static_cast<std::size_t>(frame.index)]);

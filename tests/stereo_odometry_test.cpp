@@ -9,11 +9,11 @@
 #include <cstdio>
 #include <fstream>
 #include <opencv2/core/utility.hpp>
-#include <opencv2/imgcodecs.hpp>
 #include <random>
 #include <sstream>
 
 #include "corridor.h"
+#include "frontend/png_file.h"
 #include "shared_data.h"
 
 namespace terse {
@@ -237,8 +237,8 @@ TEST(StereoOdometry, RealFramesOfKitti06) {
     std::snprintf(name, sizeof name, "/%06d.png", k);
     StereoFrame frame;
     frame.index = k;
-    frame.left = cv::imread(folder + "/image_0" + name, cv::IMREAD_GRAYSCALE);
-    frame.right = cv::imread(folder + "/image_1" + name, cv::IMREAD_GRAYSCALE);
+    frame.left = ReadGreyPng(folder + "/image_0" + name);
+    frame.right = ReadGreyPng(folder + "/image_1" + name);
     const OdometryStep step = odometry.Track(frame);
     EXPECT_NE(step.status, TrackingStatus::kLost) << k << " " << step.reason;
     T_first_current = T_first_current * step.T_previous_current;
