@@ -60,7 +60,9 @@ class StereoOdometry::State {
 OdometryStep StereoOdometry::State::Track(const StereoFrame& frame) {
   CheckFrame(frame);
   OdometryStep step;
-  if (started_ && gap_ == 0 && SameImage(frame.left, previous_left_)) return Repeated(std::move(step));
+  // A frame that shows nothing is like the next: a covered camera is not one that stands still.
+  const bool tracking = started_ && gap_ == 0 && static_cast<int>(window_.Points().size()) >= options_.min_inliers;
+  if (tracking && SameImage(frame.left, previous_left_)) return Repeated(std::move(step));
   LapTimer timer;
   const StereoPyramid images = BuildPyramids(frame);
   step.times.pyramids = timer.Lap();
