@@ -1,6 +1,5 @@
 #include "terse/frontend/loop_verifier.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
