@@ -19,13 +19,6 @@ bool HasPopcount() { return __builtin_cpu_supports("popcnt") != 0; }
 bool HasPopcount() { return true; }
 #endif
 
-template <class Count>
-inline void Row(const BinaryDescriptor& a, const std::vector<BinaryDescriptor>& b, int* out, Count count) {
-  for (const BinaryDescriptor& d : b) {
-    *out++ = count(a[0] ^ d[0]) + count(a[1] ^ d[1]) + count(a[2] ^ d[2]) + count(a[3] ^ d[3]);
-  }
-}
-
 TERSE_POPCOUNT void RowByInstruction(const BinaryDescriptor& a, const std::vector<BinaryDescriptor>& b, int* out) {
   for (const BinaryDescriptor& d : b) {
     *out++ = __builtin_popcountll(a[0] ^ d[0]) + __builtin_popcountll(a[1] ^ d[1]) + __builtin_popcountll(a[2] ^ d[2]) +
@@ -34,12 +27,15 @@ TERSE_POPCOUNT void RowByInstruction(const BinaryDescriptor& a, const std::vecto
 }
 
 void RowByArithmetic(const BinaryDescriptor& a, const std::vector<BinaryDescriptor>& b, int* out) {
-  Row(a, b, out, [](std::uint64_t x) {
+  const auto count = [](std::uint64_t x) {
     x -= (x >> 1) & 0x5555555555555555u;
     x = (x & 0x3333333333333333u) + ((x >> 2) & 0x3333333333333333u);
     x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fu;
     return static_cast<int>((x * 0x0101010101010101u) >> 56);
-  });
+  };
+  for (const BinaryDescriptor& d : b) {
+    *out++ = count(a[0] ^ d[0]) + count(a[1] ^ d[1]) + count(a[2] ^ d[2]) + count(a[3] ^ d[3]);
+  }
 }
 
 bool SamePlace(const KeyframeFeatures::Point& a, const KeyframeFeatures::Point& b) {

@@ -90,7 +90,10 @@ void TrackWindow::Adjust() {
   constexpr int kAdjusted = 2;
   options.fixed = std::max(1, static_cast<int>(frames_.size()) - kAdjusted);
   const WindowOffset offset = AdjustWindow(camera_, points, options, poses);
-  if (options_.estimate_disparity_offset) offset_.Update(offset, static_cast<int>(poses.size()));
+  // Between keyframes, as in a car that stands, the window is the same again and tells nothing new.
+  if (options_.estimate_disparity_offset && frames_.back().keyframe) {
+    offset_.Update(offset, static_cast<int>(poses.size()));
+  }
   for (size_t k = 0; k < frames_.size(); ++k) frames_[k].T_world_camera = poses[k];
 }
 

@@ -1,6 +1,5 @@
 #include "terse/frontend/loop_verifier.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
@@ -81,23 +80,6 @@ Refined AlignPoints(const StereoCamera& camera, const KeyframeFeatures& candidat
   return out;
 }
 
-// What an unknown offset of all disparities would do to the motion, to first order: a rank-one covariance. Points tell
-// nothing of it, and far ones make it grow with the distance.
-Matrix<6, 6> OffsetCovariance(const StereoCamera& camera, const std::vector<StereoMatch>& matches,
-                              const StereoMotion& motion, const LoopVerifierOptions& options) {
-  std::vector<StereoMatch> shifted;
-  for (size_t k = 0; k < matches.size(); ++k) {
-    if (motion.inlier[k] == 0) continue;
-    shifted.push_back(matches[k]);
-    shifted.back().a[2] -= options.disparity_sigma;
-    shifted.back().b[2] -= options.disparity_sigma;
-  }
-  const auto moved = EstimateStereoMotion(camera, shifted, options.motion, motion.T_a_b);
-  if (!moved) return Matrix<6, 6>::Zero();
-  const Vector<6> d = motion.T_a_b.Local(moved->T_a_b);
-  return d * d.transpose();
-}
-
 // Of the inliers in b, the share of the image cells that have some.
 double Coverage(const StereoCamera& camera, const std::vector<StereoMatch>& matches, const std::vector<char>& inlier) {
   std::vector<char> seen(kCellColumns * kCellRows, 0);
@@ -137,7 +119,13 @@ struct LoopVerifier::Current {
 };
 
 LoopVerifier::LoopVerifier(const StereoCamera& camera, const LoopVerifierOptions& options)
-    : camera_(camera), options_(options) {}
+    : camera_(camera), options_(options) {
+  const FeatureOptions& f = options.features;
+  if (f.levels < 1 || f.levels > 8 || !(f.level_scale > 1) || f.most < 0 || options.most_aligned < 0 ||
+      !(options.disparity_sigma >= 0)) {
+    throw std::invalid_argument("loop verifier options: a number is out of its domain");
+  }
+}
 
 LoopVerifierOptions::LoopVerifierOptions() {
   // Patches are aligned as if they faced the camera: their errors are larger than the residuals say, and alike nearby.
@@ -223,7 +211,10 @@ LoopVerification LoopVerifier::Verify(PoseId id) {
   const auto motion = EstimateStereoMotion(camera_, refined.matches, options_.motion, out.T_candidate_current);
   if (!motion) return out;
   out.T_candidate_current = motion->T_a_b;
-  out.covariance = motion->covariance + OffsetCovariance(camera_, refined.matches, *motion, options_);
+  // The offset of all disparities is known so well only. Points tell nothing of it, and far ones make it grow with the
+  // distance.
+  const Vector<6> d = options_.disparity_sigma * motion->J_motion_offset;
+  out.covariance = motion->covariance + d * d.transpose();
   out.residual_scale = motion->residual_scale;
   out.inliers = motion->inliers;
   out.confirmed = motion->inliers / std::max(1.0, static_cast<double>(refined.in_view));

@@ -24,8 +24,9 @@ struct WindowOptions {
   int iterations = 4;  // at most
 };
 
-// What the window tells about a common offset of all disparities, with poses and points unknown: least squares of the
-// offset is `step` away, with `information` (for unit noise, 1 / pixels^2). The poses are adjusted for offset 0.
+// What the window tells about a common offset of all disparities, with the points and the poses that are not held
+// unknown: least squares of the offset is `step` away, with `information` (for unit noise, 1 / pixels^2). The poses are
+// adjusted for offset 0. Held poses count as exact: their scale, which came with an earlier offset, speaks for it.
 // Where the camera moves ahead, an offset makes near and far points disagree about how far.
 struct WindowOffset {
   double information = 0, step = 0;  // step: what has to be added to u_R, pixels

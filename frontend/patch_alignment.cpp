@@ -45,7 +45,9 @@ AlignmentTemplate::AlignmentTemplate(const Patch& patch) {
 std::optional<AlignmentTemplate::Place> AlignmentTemplate::Find(const cv::Mat& image, double x, double y,
                                                                 double spacing, bool along_row, double reach) const {
   const double determinant = H_xx_ * H_yy_ - H_xy_ * H_xy_, trace = H_xx_ + H_yy_;
-  if (along_row ? H_xx_ < kLeastTexture : determinant < kLeastTexture * (trace - kLeastTexture)) return std::nullopt;
+  // The smaller eigenvalue; the sign of (l1 - k)(l2 - k) alone would let through where both are below.
+  const bool flat = trace < 2 * kLeastTexture || determinant < kLeastTexture * (trace - kLeastTexture);
+  if (along_row ? H_xx_ < kLeastTexture : flat) return std::nullopt;
   const double start_x = x, start_y = y, half = kInner / 2 * spacing;
   std::array<float, kCount> sampled;
   Place place;

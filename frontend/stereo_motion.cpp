@@ -13,9 +13,8 @@ namespace {
 // A match and the point that is estimated with it.
 struct PointState {
   const StereoMatch* match = nullptr;
-  Vector<3> x;          // (u_L, v, u_R) in a
-  double residual = 0;  // norm of the 6 residuals, pixels
-  bool used = false;    // in this round
+  Vector<3> x;        // (u_L, v, u_R) in a
+  bool used = false;  // in this round
 };
 
 struct NormalEquations {
@@ -42,7 +41,7 @@ struct PointSystem {
   Vector<6> offset_p;
   Matrix<6, 6> H_pp;
   Vector<6> g_p;
-  double residual = 0;
+  double residual = 0;  // norm of the 6 residuals, pixels
 };
 
 PointSystem Linearise(const StereoReprojection& reprojection, const PointState& point) {

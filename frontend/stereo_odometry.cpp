@@ -60,7 +60,9 @@ class StereoOdometry::State {
 OdometryStep StereoOdometry::State::Track(const StereoFrame& frame) {
   CheckFrame(frame);
   OdometryStep step;
-  if (started_ && gap_ == 0 && SameImage(frame.left, previous_left_)) return Repeated(std::move(step));
+  // A frame that shows nothing is like the next: a covered camera is not one that stands still.
+  const bool tracking = started_ && gap_ == 0 && static_cast<int>(window_.Points().size()) >= options_.min_inliers;
+  if (tracking && SameImage(frame.left, previous_left_)) return Repeated(std::move(step));
   LapTimer timer;
   const StereoPyramid images = BuildPyramids(frame);
   step.times.pyramids = timer.Lap();
@@ -239,6 +241,10 @@ StereoOdometry::StereoOdometry(const StereoCamera& camera, const StereoOdometryO
   if (options.corners < options.min_inliers || options.min_inliers < 4) {
     throw std::invalid_argument("stereo odometry needs at least 4 inliers, and as many corners as inliers");
   }
+  const bool valid = options.forward_backward > 0 && options.circle > 0 && options.min_disparity > 0 &&
+                     options.max_disparity > 0 && options.max_disparity <= 1 && options.disparity_offset_sigma > 0 &&
+                     options.max_angle > 0 && options.max_acceleration > 0 && options.motion.huber > 0;
+  if (!valid) throw std::invalid_argument("stereo odometry options: a number is out of its domain");
   state_ = std::make_unique<State>(camera, options);
 }
 StereoOdometry::~StereoOdometry() = default;

@@ -1,19 +1,14 @@
 #include "terse/frontend/stereo_slam.h"
 
 #include <Eigen/Cholesky>
-#include <chrono>
 #include <cmath>
 #include <stdexcept>
 #include <string>
 
+#include "lap_timer.h"
+
 namespace terse {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-
-double Since(Clock::time_point start) {
-  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
-}
 
 RelativePoseFactor<SE3> Link(PoseId from, PoseId to, const SE3& T_from_to, const Matrix<6, 6>& covariance) {
   const Matrix<6, 6> information = covariance.llt().solve(Matrix<6, 6>::Identity());
@@ -78,12 +73,11 @@ std::optional<RelativePoseFactor<SE3>> StereoSlam::Register(PoseId candidate, Po
     for (const LoopAttempt& a : step.attempts) deep += a.verification.outcome != LoopOutcome::kFewMatches;
     if (deep >= options_.most_verifications) return std::nullopt;
   }
-  auto start = Clock::now();
+  LapTimer timer;
   verifier_.CurrentFeatures();
-  step.times.features += Since(start);
-  start = Clock::now();
+  step.times.features += timer.Lap();
   LoopAttempt attempt{candidate, current, verifier_.Verify(candidate), 0};
-  attempt.milliseconds = Since(start);
+  attempt.milliseconds = timer.Lap();
   step.times.verification += attempt.milliseconds;
   const LoopVerification& v = attempt.verification;
   step.attempts.push_back(attempt);
@@ -114,32 +108,28 @@ StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
   step.id = PoseId{frame.index};
   if (map_.HasSeen(step.id)) throw std::invalid_argument("frame " + std::to_string(frame.index) + " was added already");
   verifier_.SetCurrent(frame);
-  auto start = Clock::now();
+  LapTimer timer;
   step.odometry = odometry_.Track(frame);
-  step.times.odometry = Since(start);
+  step.times.odometry = timer.Lap();
   if (options_.odometry.estimate_disparity_offset) {
     verifier_.SetDisparityOffset(odometry_.DisparityOffset(), odometry_.DisparityOffsetSigma());
   }
   CompactInput<SE3> input = MakeInput(frame, step.odometry);
   if (appearance_) {
-    start = Clock::now();
     const KeyframeFeatures& features = verifier_.CurrentFeatures();
-    step.times.features = Since(start);
-    start = Clock::now();
+    step.times.features = timer.Lap();
     input.linkable.emplace();
     for (const AppearanceSearch::Match& match : appearance_->Query(features)) input.linkable->push_back(match.id);
     appearance_->Add(step.id, features);
-    step.times.search = Since(start);
+    step.times.search = timer.Lap();
   }
-  start = Clock::now();
   step.decision =
       map_.AddPose(input, [&](PoseId candidate, PoseId current) { return Register(candidate, current, step); });
   const double others = appearance_ ? 0 : step.times.features;
-  step.times.map = Since(start) - others - step.times.verification;
+  step.times.map = timer.Lap() - others - step.times.verification;
   if (step.decision.Kept()) {
-    start = Clock::now();
     StoreFeatures(step.id);
-    step.times.features += Since(start);
+    step.times.features += timer.Lap();
   }
   previous_ = step.id;
   const SE3 before = odometry_trajectory_.empty() ? SE3() : odometry_trajectory_.back();

@@ -68,11 +68,11 @@ StereoPyramid BuildPyramids(const StereoFrame& frame) {
   return pyramids;
 }
 
-const cv::Mat& Level(const ImagePyramid& pyramid, int level) {
+const cv::Mat& Level(const FlowPyramid& pyramid, int level) {
   return pyramid[std::min(static_cast<size_t>(2 * level), pyramid.size() - 2)];
 }
 
-void Flow(const ImagePyramid& from, const ImagePyramid& to, const std::vector<cv::Point2f>& from_points,
+void Flow(const FlowPyramid& from, const FlowPyramid& to, const std::vector<cv::Point2f>& from_points,
           std::vector<cv::Point2f>& to_points, std::vector<char>& ok, int levels) {
   ok.assign(from_points.size(), 0);
   if (from_points.empty()) return;
@@ -88,7 +88,7 @@ void Flow(const ImagePyramid& from, const ImagePyramid& to, const std::vector<cv
   }
 }
 
-void CheckBackwards(const ImagePyramid& from, const ImagePyramid& to, const std::vector<cv::Point2f>& from_points,
+void CheckBackwards(const FlowPyramid& from, const FlowPyramid& to, const std::vector<cv::Point2f>& from_points,
                     const std::vector<cv::Point2f>& to_points, std::vector<char>& ok, double tolerance) {
   std::vector<cv::Point2f> back = from_points;
   std::vector<char> back_ok;
@@ -111,8 +111,8 @@ std::vector<float> CoarseDisparities(const StereoPyramid& images, const std::vec
   return disparities;
 }
 
-double PatchDifference(const ImagePyramid& from_image, const ImagePyramid& to_image,
-                       const std::vector<cv::Point2f>& from, const std::vector<cv::Point2f>& to) {
+double PatchDifference(const FlowPyramid& from_image, const FlowPyramid& to_image, const std::vector<cv::Point2f>& from,
+                       const std::vector<cv::Point2f>& to) {
   constexpr int kHalf = 2, kPixels = (2 * kHalf + 1) * (2 * kHalf + 1);
   constexpr double kMax = 30;  // grey levels
   const cv::Mat &a = Level(from_image, kCoarseLevel), &b = Level(to_image, kCoarseLevel);

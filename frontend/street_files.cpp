@@ -4,6 +4,7 @@
 #include <exception>
 #include <filesystem>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -49,7 +50,10 @@ void Share(int count, int threads, const Work& work) {
     }
   };
   std::vector<std::thread> others;
-  for (int k = 1; k < threads; ++k) others.emplace_back(run);
+  try {
+    for (int k = 1; k < threads; ++k) others.emplace_back(run);
+  } catch (const std::system_error&) {  // no more threads to be had: those there are do it
+  }
   run();
   for (std::thread& thread : others) thread.join();
   if (error) std::rethrow_exception(error);

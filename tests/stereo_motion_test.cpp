@@ -157,6 +157,25 @@ TEST(StereoMotion, CovarianceHasAFloorAndAFactor) {
   EXPECT_LT((motion->covariance - expected).norm(), 1e-9 * expected.norm());
 }
 
+// A step of the offset, and what it does to the estimate.
+TEST(StereoMotion, KnowsHowAnOffsetOfTheDisparitiesMovesIt) {
+  Random rng(9);
+  auto matches = ExactMatches(kKittiLike, CarMotion(), 60, rng);
+  const auto options = PlainOptions(1);
+  const auto motion = EstimateStereoMotion(kKittiLike, matches, options, CarMotion());
+  ASSERT_TRUE(motion);
+  constexpr double kStep = 0.01;  // pixels
+  for (StereoMatch& match : matches) {
+    match.a.z() += kStep;
+    match.b.z() += kStep;
+  }
+  const auto moved = EstimateStereoMotion(kKittiLike, matches, options, CarMotion());
+  ASSERT_TRUE(moved);
+  const Vector<6> expected = motion->T_a_b.Local(moved->T_a_b) / kStep;
+  EXPECT_GT(expected.norm(), 1e-3);
+  EXPECT_LT((motion->J_motion_offset - expected).norm(), 0.05 * expected.norm());
+}
+
 TEST(StereoMotion, NothingFromTooLittle) {
   Random rng(7);
   StereoMotionOptions options;

@@ -166,7 +166,7 @@ TEST(StereoOdometry, BlankImagesAreLostNotAnError) {
   EXPECT_EQ(odometry.Track(blank).status, TrackingStatus::kFirst);
   EXPECT_TRUE(odometry.TrackedPoints().empty());
   for (int k = 0; k < 6; ++k) {
-    blank.left = blank.left + 1;
+    if (k == 3) blank.left = blank.left + 1;  // the same image or another one
     const OdometryStep step = odometry.Track(blank);
     EXPECT_EQ(step.status, TrackingStatus::kLost);
     EXPECT_EQ(step.reason, "blank");
@@ -193,6 +193,9 @@ TEST(StereoOdometry, MisuseIsRefusedAndLeavesTheStateAsItWas) {
   StereoCamera camera = kSmallCamera;
   camera.baseline = 0;
   EXPECT_THROW(StereoOdometry{camera}, std::invalid_argument);
+  StereoOdometryOptions options = SmallOptions();
+  options.max_disparity = -0.2;
+  EXPECT_THROW(StereoOdometry(kSmallCamera, options), std::invalid_argument);
 }
 
 TEST(StereoOdometry, SameResultWithAnyNumberOfThreads) {

@@ -65,6 +65,7 @@ struct LoopVerification {
 
 class LoopVerifier {
  public:
+  // Throws std::invalid_argument if an option makes no sense.
   explicit LoopVerifier(const StereoCamera& camera, const LoopVerifierOptions& options = {});
   ~LoopVerifier();
   LoopVerifier(LoopVerifier&&) noexcept;

@@ -74,7 +74,8 @@ class StereoSlam {
   StereoSlam& operator=(StereoSlam&&) noexcept;
 
   // Indices are those of new poses, each only once. Throws std::invalid_argument if not so, or if an image has the
-  // wrong type or size.
+  // wrong type or size; nothing is changed then. After any other exception the odometry has passed the frame and the
+  // map may not have: the object is of no more use.
   StereoSlamStep AddFrame(const StereoFrame& frame);
 
   // Iterates the map to its optimum.
