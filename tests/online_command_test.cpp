@@ -317,7 +317,8 @@ TEST_F(OnlineCommand, SurvivesKills) {
     }
     child.Send(Join(lines, next, next + 1 + random() % 20));
     // A slow start must not end before there is anything to resume.
-    while (!Exists("journal") || Read("journal").find('\n') == std::string::npos) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    while (!Exists("journal") || Read("journal").find('\n') == std::string::npos)
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
     std::this_thread::sleep_for(std::chrono::microseconds(random() % 8000));
     child.Kill();
     for (const json& answer : child.ReceiveAll()) {
