@@ -43,6 +43,7 @@ AppearanceSearch::AppearanceSearch(const std::vector<BinaryDescriptor>& descript
   const cv::TermCriteria stop(cv::TermCriteria::COUNT, options.iterations, 0);
   const cv::BOWKMeansTrainer trainer(options.words, stop, 1, cv::KMEANS_PP_CENTERS);
   words_ = trainer.cluster(Unpack(descriptors, static_cast<size_t>(options.most_trained)));
+  cv::reduce(words_.mul(words_), squares_, 1, cv::REDUCE_SUM);
   occurs_in_.assign(static_cast<size_t>(words_.rows), 0);
 }
 
@@ -50,14 +51,13 @@ AppearanceSearch::Histogram AppearanceSearch::Describe(const KeyframeFeatures& f
   Histogram out;
   if (features.Size() == 0) return out;
   // |d - w|^2 = |d|^2 - 2 d w + |w|^2, of which the first does not matter.
-  cv::Mat products, squares;
+  cv::Mat products;
   cv::gemm(Unpack(features.descriptors, features.Size()), words_, -2, {}, 0, products, cv::GEMM_2_T);
-  cv::reduce(words_.mul(words_), squares, 1, cv::REDUCE_SUM);
   for (int row = 0; row < products.rows; ++row) {
     int nearest = 0;
     float least = 0;
     for (int word = 0; word < words_.rows; ++word) {
-      const float distance = products.at<float>(row, word) + squares.at<float>(word);
+      const float distance = products.at<float>(row, word) + squares_.at<float>(word);
       if (word == 0 || distance < least) least = distance, nearest = word;
     }
     out[nearest] += 1 / static_cast<double>(features.Size());

@@ -5,6 +5,7 @@
 #include <deque>
 #include <exception>
 #include <filesystem>
+#include <future>
 #include <mutex>
 #include <numeric>
 #include <thread>
@@ -138,7 +139,9 @@ cv::Mat KittiSequence::ReadImage(const std::string& path) const {
 
 StereoFrame KittiSequence::Read(int index) const {
   const double time = Time(index);
-  return {index, time, ReadImage(LeftPath(index)), ReadImage(RightPath(index))};
+  auto right = std::async(std::launch::async, [&] { return ReadImage(RightPath(index)); });
+  cv::Mat left = ReadImage(LeftPath(index));
+  return {index, time, std::move(left), right.get()};
 }
 
 KittiFrames KittiSequence::Frames(int begin, int end) const {

@@ -13,6 +13,8 @@ namespace terse {
 namespace {
 
 constexpr int kMaxGap = 3;        // frames in a row that may be lost before tracking starts afresh
+constexpr int kMaxRepeats = 2;    // equal images in a row while moving; more: the camera is frozen
+constexpr double kMoving = 0.2;   // metres per frame: no vehicle stops or doubles this within one
 constexpr double kBlurred = 0.6;  // of the usual sharpness
 
 SE3 Power(const SE3& T, double exponent) { return SE3::Exp(exponent * T.Log()); }
@@ -40,6 +42,7 @@ class StereoOdometry::State {
   OdometryStep Repeated(OdometryStep step) const;
   OdometryStep Lost(OdometryStep step, const StereoPyramid& images, const std::string& reason, bool restart);
   std::vector<SE3> Candidates() const;
+  double Speed() const { return velocity_ ? velocity_->Translation().norm() : 0; }
   std::optional<Motion> MeasureMotion(const StereoPyramid& images, const SE3& predicted, int levels,
                                       OdometryStep& step) const;
   bool Plausible(const SE3& T_reference_current) const;
@@ -54,6 +57,7 @@ class StereoOdometry::State {
   SE3 T_world_previous_;         // the composition of all motions that were returned
   std::optional<SE3> velocity_;  // motion in one frame
   int gap_ = 0;                  // frames lost since the reference
+  int repeats_ = 0;              // equal images in a row
   FrameQuality usual_;           // running mean over tracked frames
 };
 
@@ -62,10 +66,14 @@ OdometryStep StereoOdometry::State::Track(const StereoFrame& frame) {
   OdometryStep step;
   // A frame that shows nothing is like the next: a covered camera is not one that stands still.
   const bool tracking = started_ && gap_ == 0 && static_cast<int>(window_.Points().size()) >= options_.min_inliers;
-  if (tracking && SameImage(frame.left, previous_left_)) return Repeated(std::move(step));
+  const bool repeated = started_ && SameImage(frame.left, previous_left_);
+  repeats_ = repeated ? repeats_ + 1 : 0;
+  const bool frozen = repeats_ > kMaxRepeats && Speed() > kMoving;
+  if (tracking && repeated && !frozen) return Repeated(std::move(step));
   LapTimer timer;
   const StereoPyramid images = BuildPyramids(frame);
   step.times.pyramids = timer.Lap();
+  if (frozen) return Lost(std::move(step), images, "frozen image", false);
   const FrameQuality quality = MeasureQuality(frame.left), right_quality = MeasureQuality(frame.right);
   previous_left_ = images.left.front();  // a copy
   if (!started_) {
@@ -200,7 +208,13 @@ OdometryStep StereoOdometry::State::TrackFrame(const StereoPyramid& images, Odom
   step.keyframe = window_.Newest().keyframe;
   step.T_previous_current = T_world_previous_.Inverse() * window_.Newest().T_world_camera;
   T_world_previous_ = window_.Newest().T_world_camera;
-  velocity_ = Power(motion->motion.T_a_b, 1.0 / (gap_ + 1));
+  double frames = gap_ + 1;
+  const double stretched = motion->motion.T_a_b.Translation().norm() / (frames * std::max(Speed(), 1e-9));
+  if (Speed() > kMoving && stretched > 1.6) {
+    step.reason = "frames dropped before";
+    frames *= std::round(stretched);
+  }
+  velocity_ = Power(motion->motion.T_a_b, 1.0 / frames);
   const Vector<6>& J_motion_offset = motion->motion.J_motion_offset;
   step.covariance =
       motion->motion.covariance + window_.Offset().Variance() * J_motion_offset * J_motion_offset.transpose();

@@ -62,7 +62,9 @@ CompactInput<SE3> StereoSlam::MakeInput(const StereoFrame& frame, const Odometry
   Matrix<6, 6> covariance = step.covariance;
   covariance.diagonal().head<3>().array() += std::pow(options_.odometry_length_part * T.Translation().norm(), 2);
   covariance.diagonal().tail<3>().array() += std::pow(options_.odometry_angle_part * T.Angle(), 2);
-  input.odometry = Link(*previous_, input.id, step.T_previous_current, covariance);
+  UncertainPose<SE3> T_previous_current = {step.T_previous_current, covariance};
+  if (pending_) T_previous_current = Compose(*pending_, T_previous_current);
+  input.odometry = Link(*previous_, input.id, T_previous_current.T_a_b, T_previous_current.covariance);
   return input;
 }
 
@@ -115,6 +117,8 @@ StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
     verifier_.SetDisparityOffset(odometry_.DisparityOffset(), odometry_.DisparityOffsetSigma());
   }
   CompactInput<SE3> input = MakeInput(frame, step.odometry);
+  // Odometry has gone on; should the map refuse the frame, the next one's link spans both.
+  if (input.odometry) pending_ = SeenFrom(*previous_, *input.odometry);
   if (appearance_) {
     const KeyframeFeatures& features = verifier_.CurrentFeatures();
     step.times.features = timer.Lap();
@@ -132,8 +136,9 @@ StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
     step.times.features += timer.Lap();
   }
   previous_ = step.id;
+  pending_.reset();
   const SE3 before = odometry_trajectory_.empty() ? SE3() : odometry_trajectory_.back();
-  odometry_trajectory_.push_back(before * step.odometry.T_previous_current);
+  odometry_trajectory_.push_back(input.odometry ? before * input.odometry->T_from_to : before);
   return step;
 }
 

@@ -117,7 +117,22 @@ TEST(StereoOdometry, ARepeatedFrameIsNoMotionAndADroppedOneADoubleMotion) {
   EXPECT_LT(repeated.covariance(0, 0), 1e-4);
   EXPECT_TRUE(repeated.covariance.llt().info() == Eigen::Success);
   EXPECT_NEAR(run.steps[7].T_previous_current.Translation().norm(), 2 * kStep, 0.02);
+  EXPECT_EQ(run.steps[7].reason, "frames dropped before");
+  EXPECT_EQ(run.steps[8].reason, "");
   EXPECT_LT(Difference(run.T_first_last, Truth(8)).translation, 0.02 * 8 * kStep);
+}
+
+// A vehicle does not stop within a frame: equal images that go on are a camera that hangs.
+TEST(StereoOdometry, AFrozenImageIsALoss) {
+  const Drive run = TrackFrames(Frames({0, 1, 2, 3, 3, 3, 3, 3, 8, 9}));
+  for (const size_t k : {4u, 5u}) EXPECT_EQ(run.steps[k].reason, "repeated frame");
+  for (const size_t k : {6u, 7u}) {
+    EXPECT_EQ(run.steps[k].status, TrackingStatus::kLost);
+    EXPECT_EQ(run.steps[k].reason, "frozen image");
+    EXPECT_NEAR(run.steps[k].T_previous_current.Translation().norm(), kStep, 0.05);
+  }
+  EXPECT_EQ(run.steps[8].status, TrackingStatus::kTracked);
+  EXPECT_LT(Difference(run.T_first_last, Truth(9)).translation, 0.02 * 9 * kStep);
 }
 
 TEST(StereoOdometry, ADarkFrameIsBridged) {

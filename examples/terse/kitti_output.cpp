@@ -55,9 +55,9 @@ Json StatsToJson(const KittiRun& run, const KittiSequence& sequence, const std::
   Json json;
   json["frames"] = t.frames;
   json["frames_lost"] = t.lost;
-  json["lost"] = Json::array();
-  for (std::size_t k = 0; k < run.frames.size(); ++k) {
-    if (run.lost[k] != 0) json["lost"].push_back(run.frames[k]);
+  json["odd_frames"] = Json::array();
+  for (const OddFrame& odd : run.odd) {
+    json["odd_frames"].push_back({{"frame", odd.frame}, {"status", ToString(odd.status)}, {"reason", odd.reason}});
   }
   json["pair"] = sequence.Pair() == KittiPair::kGrey ? "grey" : "colour";
   json["strategy"] = Name(slam.Map().Options().strategy);
@@ -132,7 +132,9 @@ void LoopsFile::Add(const StereoSlamStep& step) {
     const auto it = std::find_if(candidates.begin(), candidates.end(),
                                  [&](const Candidate& c) { return c.id == attempt.candidate; });
     const Candidate known = it != candidates.end() ? *it : Candidate{};
-    out << ',' << Shortest(known.gain) << ',' << (known.measured_gain ? Shortest(*known.measured_gain) : "-") << ','
+    // Without a search (apal, appearance) nothing is foretold.
+    out << ',' << (known.probability > 0 ? Shortest(known.gain) : "-") << ','
+        << (known.measured_gain ? Shortest(*known.measured_gain) : "-") << ','
         << (known.innovation ? Shortest(*known.innovation) : "-") << ',' << (known.accepted ? 1 : 0) << '\n';
   }
 }

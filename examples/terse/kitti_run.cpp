@@ -91,7 +91,7 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
       const StereoSlamStep step = run.slam.AddFrame(*frame);
       Add(step, totals);
       run.frames.push_back(frame->index);
-      run.lost.push_back(step.odometry.status == TrackingStatus::kLost ? 1 : 0);
+      if (!step.odometry.reason.empty()) run.odd.push_back({frame->index, step.odometry.status, step.odometry.reason});
       if (options.after_step) options.after_step(step);
       progress.Update(totals.frames);
     }

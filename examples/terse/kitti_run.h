@@ -26,11 +26,18 @@ struct KittiTotals {
   double FramesPerSecond() const { return seconds > 0 ? frames / seconds : 0; }
 };
 
+// One that was lost, or tracked but unusual.
+struct OddFrame {
+  int frame;
+  TrackingStatus status;
+  std::string reason;
+};
+
 struct KittiRun {
   StereoSlam slam;
   KittiTotals totals;
   std::vector<int> frames;  // their indices, in the order they were added
-  std::vector<char> lost;   // as many
+  std::vector<OddFrame> odd;
   BatchResult<SE3> result;  // of the map
 };
 

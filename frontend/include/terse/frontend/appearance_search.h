@@ -43,7 +43,8 @@ class AppearanceSearch {
   double Weight(int word) const;
 
   AppearanceOptions options_;
-  cv::Mat words_;  // CV_32F, a row each, one number per bit
+  cv::Mat words_;    // CV_32F, a row each, one number per bit
+  cv::Mat squares_;  // their squared lengths
   std::vector<std::pair<PoseId, Histogram>> keyframes_;
   std::vector<int> occurs_in_;  // keyframes, of each word
 };

@@ -74,8 +74,8 @@ class StereoSlam {
   StereoSlam& operator=(StereoSlam&&) noexcept;
 
   // Indices are those of new poses, each only once. Throws std::invalid_argument if not so, or if an image has the
-  // wrong type or size; nothing is changed then. After any other exception the odometry has passed the frame and the
-  // map may not have: the object is of no more use.
+  // wrong type or size; nothing is changed then. After any other exception the frame counts as not added; the odometry
+  // has passed it, and the next frame's link spans both.
   StereoSlamStep AddFrame(const StereoFrame& frame);
 
   // Iterates the map to its optimum.
@@ -96,7 +96,8 @@ class StereoSlam {
   CompactPoseSlam<SE3> map_;
   std::optional<AppearanceSearch> appearance_;
   std::optional<PoseId> previous_;
-  std::vector<PoseId> stored_;  // in the order of arrival
+  std::optional<UncertainPose<SE3>> pending_;  // what odometry measured from it to frames that the map refused
+  std::vector<PoseId> stored_;                 // in the order of arrival
   std::vector<SE3> odometry_trajectory_;
 };
 
