@@ -197,14 +197,14 @@ ScenePlan<SE3> PlanGarage(const GenerateOptions& options) {
 
 // Unit steps on a grid, with a quarter turn now and then, in a square whose area grows with the number of poses.
 ScenePlan<SE2> PlanManhattan(const GenerateOptions& options, Random& random) {
-  constexpr long kDx[] = {1, 0, -1, 0}, kDy[] = {0, 1, 0, -1};
+  static constexpr long kDx[] = {1, 0, -1, 0}, kDy[] = {0, 1, 0, -1};
   struct Walker {
     long x = 0, y = 0, heading = 0;  // heading in quarter turns
   };
   ScenePlan<SE2> plan;
   plan.poses = options.poses != 0 ? options.poses : 3500;
   const long half_side = std::max(3L, std::lround(0.35 * std::sqrt(static_cast<double>(plan.poses))));
-  plan.T_world_body = [walker = Walker(), half_side, kDx, kDy, &random](long k) mutable {
+  plan.T_world_body = [walker = Walker(), half_side, &random](long k) mutable {
     if (k > 0) {
       Walker next;
       do {

@@ -425,7 +425,6 @@ TYPED_TEST(InnovationTest, ARunHealsWhenAWrongLinkIsRemoved) {
   options.innovation_quantile.reset();
   CompactPoseSlam<Pose> clean(options), healed(options);
   const auto of_clean = a.AsRegistration(), of_healed = b.AsRegistration();
-  std::optional<FactorId> wrong;
   for (std::size_t k = 0; k < a.Inputs().size(); ++k) {
     const Decision x = clean.AddPose(a.Inputs()[k], of_clean), y = healed.AddPose(b.Inputs()[k], of_healed);
     EXPECT_EQ(x.verdict, y.verdict) << k;

@@ -24,7 +24,6 @@ constexpr int kCases = 10000;
 // One interface over the three groups: tangents, matrices and the generator matrices of their algebra.
 struct RotationGroup {
   using T = SO3;
-  static constexpr int kMatrix = 3;
   static SO3::Tangent RandomTangent(Random& random) { return random.RotationVector(random.Angle()); }
   static Eigen::Matrix3d Wedge(const SO3::Tangent& d) { return Hat(d); }
   static Eigen::Matrix3d Small(const SO3::Tangent& d) { return Hat(d); }  // ad
@@ -33,7 +32,6 @@ struct RotationGroup {
 
 struct PlaneGroup {
   using T = SE2;
-  static constexpr int kMatrix = 3;
   static SE2::Tangent RandomTangent(Random& random) { return testing::RandomTangent<SE2>(random, 3); }
   static Eigen::Matrix3d Wedge(const SE2::Tangent& d) {
     Eigen::Matrix3d M;
@@ -55,7 +53,6 @@ struct PlaneGroup {
 
 struct SpaceGroup {
   using T = SE3;
-  static constexpr int kMatrix = 4;
   static SE3::Tangent RandomTangent(Random& random) { return testing::RandomTangent<SE3>(random, 3); }
   static Eigen::Matrix4d Wedge(const SE3::Tangent& d) {
     Eigen::Matrix4d M = Eigen::Matrix4d::Zero();

@@ -77,8 +77,8 @@ TYPED_TEST(RankUpdate, AdditionsEqualDenseByEveryMethod) {
   for (std::uint64_t seed = 1; seed <= 6; ++seed) {
     std::map<FactorPath, int> paths[3];
     for (int m = 0; m < 3; ++m) {
-      const auto method =
-          std::array{Method<B>::kRankUpdateWherePossible, Method<B>::kCheapest, Method<B>::kRefactor}[m];
+      const auto method = std::array{Method<B>::kRankUpdateWherePossible, Method<B>::kCheapest,
+                                     Method<B>::kRefactor}[static_cast<std::size_t>(m)];
       SCOPED_TRACE("seed " + std::to_string(seed) + ", method " + std::to_string(m));
       Random rng(seed);
       MirroredFactor<B> both;

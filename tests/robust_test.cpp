@@ -171,7 +171,7 @@ TYPED_TEST(RobustTest, LoopsAreWhatOdometryDoesNotNeed) {
 }
 
 TYPED_TEST(RobustTest, BatchFindsTheCleanSolution) {
-  for (const std::uint64_t seed : {1, 2, 3}) {
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
     SCOPED_TRACE(seed);
     const auto scene = MakeScene<TypeParam>(seed, 0.3);
     const auto start = ComputeInitialValues(scene.graph, InitialValues::kCompose);
@@ -196,7 +196,7 @@ TYPED_TEST(RobustTest, BatchFindsTheCleanSolution) {
 }
 
 TYPED_TEST(RobustTest, IncrementalFindsItStepByStep) {
-  for (const std::uint64_t seed : {1, 2, 3}) {
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
     SCOPED_TRACE(seed);
     const auto scene = MakeScene<TypeParam>(seed, 0.3);
     IncrementalSolver<TypeParam> solver(StepsWith(RobustKernel::kGnc));

@@ -168,7 +168,7 @@ class StateWriter {
   template <class... T>
   void Put(const std::variant<T...>& value) {
     Put(static_cast<std::uint32_t>(value.index()));
-    std::visit([this](const auto& held) { Put(held); }, value);
+    std::visit([this](const auto& held) { this->Put(held); }, value);
   }
   template <class Key, class T>
   void Put(const std::map<Key, T>& map) {
