@@ -20,7 +20,7 @@ double ProbabilityWithin(double mean, double sigma, double low, double high) {
 
 // That a wrapped normal angle is within +-limit, limit < pi.
 double AngleProbabilityWithin(double mean, double sigma, double limit) {
-  if (sigma > 2 * kPi) return limit / kPi;  // uniform to 1e-8
+  if (!(sigma <= 2 * kPi)) return limit / kPi;  // uniform to 1e-8; so is what is not a number
   const double period = 2 * kPi;
   const double nearest = std::remainder(mean, period);
   const int turns = 1 + static_cast<int>(std::ceil(6 * sigma / period));
