@@ -139,7 +139,7 @@ TEST(Street, TheGroundTruthIsThatOfTheImages) {
       }
     }
     const cv::Vec2d shift = Misfit(sequence.RenderClean(a).left, sequence.RenderClean(b).left, depth, at);
-    EXPECT_LT(cv::norm(shift), 0.05) << "frames " << a << ", " << b << ": " << cv::Mat(shift).t();
+    EXPECT_LT(cv::norm(shift), 0.08) << "frames " << a << ", " << b << ": " << cv::Mat(shift).t();
   }
 }
 
