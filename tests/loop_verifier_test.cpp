@@ -57,6 +57,28 @@ TEST_F(LoopVerifierTest, FindsAPlaceAgainOnTheNextLap) {
   EXPECT_GE(loop.inliers, 40);
 }
 
+// A calibration that is off shows as scale; knowing by how much mends it.
+TEST_F(LoopVerifierTest, TheDisparityOffsetIsTakenOutOfTheMotion) {
+  StreetOptions options = street_.Options();
+  options.disparity_offset = 0.6;
+  const StreetSequence street(options);
+  const SE3 truth = street.T_world_camera(20).Inverse() * street.T_world_camera(24);
+  const auto error = [&](double offset) {
+    LoopVerifier verifier(street.Camera());
+    verifier.SetDisparityOffset(offset, 0.2);
+    verifier.SetCurrent(street.Render(20));
+    verifier.Keep({20});
+    verifier.SetCurrent(street.Render(24));
+    const LoopVerification loop = verifier.Verify({20});
+    EXPECT_TRUE(loop.Verified()) << Name(loop.outcome);
+    return (loop.T_candidate_current.Translation() - truth.Translation()).norm();
+  };
+  const double known = error(0.6);
+  EXPECT_LT(known, 0.05);
+  EXPECT_GT(error(0), 2 * known);
+  EXPECT_GT(error(-0.6), 2 * known);
+}
+
 TEST_F(LoopVerifierTest, RefusesAnotherPlace) {
   const LoopVerification loop = Verify(20, 80);
   EXPECT_FALSE(loop.Verified()) << loop.inliers << " inliers";

@@ -1,5 +1,5 @@
-// The rendered street: what the images show is where camera model and ground truth say, within 0.05 pixels; the same
-// seed gives the same bytes; the drive is one that a tracker can follow.
+// The rendered street: what the images show is where camera model and ground truth say, to a few hundredths of a pixel;
+// the same seed gives the same bytes; the drive is one that a tracker can follow.
 
 #include <gtest/gtest.h>
 
