@@ -1,0 +1,81 @@
+// The panel that explains one step of one run, and the pose that was clicked.
+
+import {isNumber} from './data.js';
+import {explain, outcome, verdictInShort} from './explain.js';
+import {element, integer, number, percent} from './format.js';
+import {halfAxes} from './scene3d.js';
+
+const kMostRows = 40;
+
+const probability = (x) => (!isNumber(x) ? '–' : x > 0.9995 && x < 1 ? '> 0.999' : x >= 1 ? '1' : number(x, 3));
+
+function gauge(gain, threshold) {
+  if (!isNumber(gain) || !isNumber(threshold)) return null;
+  const full = Math.max(gain, threshold, 1e-9) * 1.15;
+  const width = (x) => `${(100 * Math.min(Math.max(x / full, 0), 1)).toFixed(2)}%`;
+  return element('div', {class: 'gauge', role: 'img', 'aria-label': `pose gain ${number(gain, 3)} nats, threshold ${number(threshold, 3)} nats`},
+    element('div', {class: 'gauge-row'}, element('span', {}, 'pose gain'), element('strong', {}, `${number(gain, 3)} nats`),
+      element('span', {class: 'muted'}, `threshold ${number(threshold, 3)}`)),
+    element('div', {class: 'gauge-bar'},
+      element('div', {class: 'gauge-fill', style: `width:${width(gain)}`}),
+      element('div', {class: 'gauge-mark', style: `left:${width(threshold)}`})));
+}
+
+function candidateTable(run, list) {
+  const evaluated = list.some((c) => c[1] > 0 || c[2] > 0);
+  const order = list.map((c, i) => [c, i]).sort(([a, i], [b, j]) => b[4] - a[4] || (b[3] ?? b[2] ?? 0) - (a[3] ?? a[2] ?? 0) || i - j);
+  const rows = order.slice(0, kMostRows).map(([c]) => {
+    const {word, why} = outcome(run, c);
+    return element('tr', {class: c[4] ? 'accepted' : ''},
+      element('th', {scope: 'row'}, String(run.id[c[0]] ?? '–')),
+      element('td', {}, evaluated ? probability(c[1]) : '–'), element('td', {}, evaluated ? number(c[2], 3) : '–'),
+      element('td', {}, number(c[3], 3)), element('td', {}, number(c[5], 3)),
+      element('td', {class: 'word', title: why}, c[4] ? '✓ ' : '', word));
+  });
+  const head = [['pose', 'kept pose that a link was considered to'], ['prob.', 'least probability, over the dimensions, of being in range'],
+    ['gain', 'expected, nats'], ['measured', 'gain of the registered link, nats'], ['innov.', 'squared Mahalanobis distance of the registered link from what was known'],
+    ['outcome', '']];
+  return element('div', {class: 'scroll candidates', tabindex: '0', role: 'region', 'aria-label': 'Candidates'},
+    element('table', {},
+      element('thead', {}, element('tr', {}, head.map(([name, why]) => element('th', {scope: 'col', title: why}, name)))),
+      element('tbody', {}, rows)),
+    list.length > kMostRows && element('p', {class: 'muted'}, `and ${integer(list.length - kMostRows)} more`));
+}
+
+function chosenPose(run, k, onStep) {
+  const p = ['x', 'y', 'z'].slice(0, run.dimension).map((axis) => number(run.position[axis][k], 4));
+  const covariance = run.covarianceOf.get(k);
+  const sizes = covariance && halfAxes(covariance, run.dimension).slice(0, run.dimension).map((axis) => number(Math.hypot(...axis), 3));
+  return element('div', {class: 'chosen'},
+    element('strong', {}, `Pose ${run.id[k]}`), ` · ${run.kept[k] ? 'kept' : 'dropped'}: ${verdictInShort(run, k)} · at (${p.join(', ')}) m · `,
+    sizes ? `95 % half axes ${sizes.join(', ')} m` : run.kept[k] ? 'no covariance given' : 'a dropped pose has no ellipsoid here', ' ',
+    element('button', {type: 'button', class: 'link-button', onclick: () => onStep(k)}, 'go to its step'));
+}
+
+// `node` is filled anew. `chosen`: index of the pose clicked last in this run, or null.
+export function showDecision(node, run, k, {named, chosen, onStep}) {
+  if (run.n === 0) {
+    node.replaceChildren(element('p', {class: 'empty'}, 'This run has no poses.'));
+    return;
+  }
+  const list = run.decisions.candidates?.[k] ?? [];
+  const {decisions} = run;
+  const known = decisions.registrations?.length > 0;
+  const count = (name) => integer(decisions[name]?.[k] ?? NaN);
+  const keptSoFar = run.keptBy[k];
+  node.replaceChildren(
+    element('div', {class: 'card-head'},
+      element('h2', {}, named ? `${run.name}: ` : '', `pose ${run.id[k]}`),
+      element('span', {class: `badge ${run.kept[k] ? 'badge-kept' : 'badge-dropped'}`},
+        run.kept[k] ? 'kept' : 'dropped', element('span', {class: 'badge-why'}, verdictInShort(run, k)))),
+    element('p', {class: 'explanation'}, explain(run, k)),
+    gauge(decisions.pose_gain?.[k], run.thresholds.min_pose_gain),
+    element('dl', {class: 'counts'},
+      [['registrations', known ? count('registrations') : '–'], ['accepted', known ? count('accepted') : '–'], ['refused', known ? count('refused') : '–'],
+        ['poses so far', `${integer(keptSoFar)} (${percent(keptSoFar, k + 1)})`], ['links so far', integer(run.linksBy[k])]]
+        .map(([name, value]) => element('div', {}, element('dt', {}, name), element('dd', {}, value)))),
+    list.length > 0 ? candidateTable(run, list)
+      : element('p', {class: 'empty'}, !decisions.candidates?.length ? 'The candidates of the steps are not known: the run wrote no decisions.'
+        : 'No kept pose was considered for a link at this step.'),
+    chosen != null ? chosenPose(run, chosen, onStep) : '');
+}

@@ -1,0 +1,70 @@
+// Decisions in words.
+
+import {isNumber} from './data.js';
+import {integer, number, plural} from './format.js';
+
+const kShort = {
+  first: 'first pose', all_kept: 'all poses are kept', loop_closed: 'a loop closes', prior: 'it has a prior',
+  nothing_in_range: 'nothing in range', informative: 'informative', redundant: 'redundant', drawn: 'drawn by lot',
+};
+
+export const nats = (x) => (isNumber(x) ? `${number(x, 3)} nats` : 'an unknown gain');
+
+export function verdictOf(run, k) {
+  return run.verdicts[run.verdict[k]] ?? null;
+}
+
+export function verdictInShort(run, k) {
+  const verdict = verdictOf(run, k);
+  if (verdict === 'redundant' && run.stats.strategy === 'rfpfl') return 'not drawn';
+  return kShort[verdict] ?? verdict ?? (run.kept[k] ? 'kept' : 'dropped');
+}
+
+// One or two sentences on why pose k was kept or dropped.
+export function explain(run, k) {
+  const verdict = verdictOf(run, k);
+  const gain = run.decisions.pose_gain?.[k], threshold = run.thresholds.min_pose_gain;
+  const accepted = run.decisions.accepted?.[k] ?? 0, tried = run.decisions.registrations?.[k] ?? 0;
+  switch (verdict) {
+    case 'first': return 'The first pose holds the map in its place.';
+    case 'all_kept': return 'This strategy keeps every pose, whatever it tells.';
+    case 'loop_closed':
+      return `${plural(accepted, 'link')} of ${plural(tried, 'registration')} told enough about the map to be accepted, so the pose stays with ${accepted === 1 ? 'it' : 'them'}.`;
+    case 'prior': return 'A prior, such as a position fix, or a held value ties this pose to the world.';
+    case 'nothing_in_range': return 'No kept pose is likely to be in sensor range: without this one, a later visit would find nothing here.';
+    case 'informative':
+      return `Even the least informative possible link to a kept pose would bring ${nats(gain)}, more than the threshold of ${nats(threshold)}: the place is not known well enough from the poses around.`;
+    case 'redundant':
+      if (run.stats.strategy === 'rfpfl') return 'The lot did not fall on this pose; its odometry goes into that of the next kept one.';
+      return `A link to a kept pose would bring only ${nats(gain)}, not more than the threshold of ${nats(threshold)}: the kept poses know this place already. Its odometry goes into that of the next kept pose.`;
+    case 'drawn': return 'The lot fell on this pose: strategy rfpfl keeps poses at random.';
+    default: return run.kept[k] ? 'The pose is part of the map.' : 'The pose is not part of the map; its place is recovered from the kept poses around it.';
+  }
+}
+
+// What became of a candidate [pose, probability, gain, measured, accepted, innovation]: {word, why}.
+export function outcome(run, candidate) {
+  const [, , gain, measured, accepted, innovation] = candidate;
+  const threshold = run.thresholds.min_loop_gain;
+  if (accepted) return {word: 'accepted', why: 'linked'};
+  if (!isNumber(measured)) {
+    const low = isNumber(gain) && isNumber(threshold) && gain <= threshold && gain > 0;
+    return low ? {word: 'too little gain', why: `expected ${nats(gain)}, at most the threshold of ${nats(threshold)}: not registered`}
+      : {word: 'no link', why: 'not registered, or the registration found nothing'};
+  }
+  if (isNumber(threshold) && measured <= threshold) {
+    return {word: 'too little gain', why: `measured ${nats(measured)}, at most the threshold of ${nats(threshold)}`};
+  }
+  if (isNumber(innovation)) return {word: 'refused', why: `innovation ${number(innovation, 3)} is larger than a correct link's would be`};
+  return {word: 'no link', why: 'not accepted'};
+}
+
+export function titleOf(run) {
+  const kept = run.keptBy[run.n - 1] ?? 0, links = run.linksBy[run.n - 1] ?? 0;
+  const offered = run.stats.links_offered;
+  const of = isNumber(offered) ? ` of ${integer(offered)}` : '';
+  return {
+    short: `${integer(kept)}\u202f/\u202f${integer(run.n)} poses, ${plural(links, 'link')}`,
+    long: `keeps ${integer(kept)} of ${plural(run.n, 'pose')} and ${integer(links)}${of} ${links === 1 && !of ? 'link' : 'links'} beside the odometry`,
+  };
+}

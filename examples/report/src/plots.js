@@ -1,0 +1,180 @@
+// Plots over the steps: a line across all of them stands at the slider's step, dragging in one moves the slider.
+
+import uPlot from 'uplot';
+
+import {cssVariable} from './colour.js';
+import {isNumber} from './data.js';
+import {element, number, seconds} from './format.js';
+
+const kHeight = 168;
+const kMissing = 'Not recorded in this run.';
+
+const positive = (list) => list?.map((x) => (isNumber(x) && x > 0 ? x : null));
+const some = (list) => Array.isArray(list) && list.some(isNumber);
+const words = (name) => String(name ?? 'gate').replace(/_/g, ' ');
+
+function runningSum(list) {
+  let sum = 0;
+  return list?.map((x) => (sum += x ?? 0));
+}
+
+// What to plot of one run. A series: label, values by step; `dots` without a line. `dash` tells the second series where
+// colours tell the runs.
+function chartsOf(run) {
+  const {steps, decisions, thresholds} = run;
+  const gate = (open) => positive(steps.gate_value)?.map((x, i) => (steps.gate_open?.[i] === open ? x : null));
+  return [
+    {key: 'counts', title: 'Poses and links kept', series: [{label: 'poses', values: steps.poses ?? Array.from(run.keptBy)},
+      {label: 'links', values: steps.links ?? Array.from(run.linksBy), dash: true}]},
+    {key: 'gain', title: 'Greatest gain of the links of a step', unit: 'nats', threshold: thresholds.min_loop_gain,
+      series: [{label: 'gain', values: steps.gain, dots: true}],
+      empty: 'No accepted link has a measured gain. (Strategies that keep every link measure none.)'},
+    {key: 'pose_gain', title: 'Least gain that a link to the pose would have', unit: 'nats', threshold: thresholds.min_pose_gain,
+      series: [{label: 'gain', values: decisions.pose_gain, dots: run.n > 400}],
+      empty: 'No pose was judged by its gain: that is for strategies that drop poses.'},
+    {key: 'gate', title: `Gate of the map's updates: ${words(run.gate)}`, unit: run.gateUnit, log: true,
+      series: [{label: 'opened', values: gate(1), dots: true}, {label: 'stayed closed', values: gate(0), dots: true, hollow: true}]},
+    {key: 'seconds', title: 'Time of a step', format: seconds, log: true, series: [{label: 'time', values: positive(steps.seconds), dots: run.n > 400}]},
+    {key: 'nonzeros', title: 'Nonzeros of H and of its factor', series: [{label: 'H', values: steps.hessian_nonzeros},
+      {label: 'factor', values: steps.factor_nonzeros, dash: true}]},
+    {key: 'ate', title: 'Absolute trajectory error so far', unit: 'm', series: [{label: 'ATE', values: steps.ate_m}],
+      empty: run.truth ? kMissing : 'No ground truth given: pass --ground-truth.'},
+    {key: 'registrations', title: 'Registrations tried so far', series: [{label: 'registrations', values: runningSum(decisions.registrations)}]},
+  ];
+}
+
+// Index of the last value at or before each position, -1 if there is none.
+function lastKnown(values) {
+  let last = -1;
+  return Int32Array.from(values, (x, i) => (x == null ? last : (last = i)));
+}
+
+export class Plots {
+  constructor(node, runs, onStep) {
+    Object.assign(this, {node, runs, onStep, plots: [], position: 0});
+    this.observer = new ResizeObserver(() => this.resize());
+    this.observer.observe(node);
+  }
+
+  // Draws all anew: at first, when the theme or the alignment of the runs changed.
+  build(alignment) {
+    this.alignment = alignment;
+    for (const {plot} of this.plots) plot?.destroy();
+    const charts = this.runs.map(chartsOf);
+    this.plots = charts[0].map((chart, i) => this.makePlot(chart, charts.map((list) => list[i])));
+    this.node.replaceChildren(...this.plots.map(({box}) => box));
+    for (const entry of this.plots) if (entry.options) this.start(entry);
+    this.setPosition(this.position);
+  }
+
+  makePlot(chart, versions) {
+    const several = this.runs.length > 1;
+    const series = versions.flatMap((version, r) => version.series.filter(({values}) => some(values)).map((one, s) => ({
+      ...one, run: r, colour: cssVariable(several ? `--run-${r % 4}` : `--plot-${s}`), dash: several && one.dash,
+      label: several ? `${this.runs[r].name} ${version.series.length > 1 ? one.label : ''}`.trim() : one.label,
+      values: Array.from(this.alignment.indices[r], (k) => (isNumber(one.values[k]) ? one.values[k] : null)),
+    })));
+    const readout = element('div', {class: 'plot-readout'});
+    const area = element('div', {class: 'plot-area'});
+    const title = element('h3', {}, chart.title, chart.unit ? element('span', {class: 'muted'}, ` ${chart.unit}`) : '');
+    const box = element('figure', {class: 'plot', 'data-plot': chart.key, 'aria-label': chart.title}, title, readout, area);
+    if (series.length === 0) {
+      area.append(element('p', {class: 'empty'}, chart.empty ?? kMissing));
+      return {box};
+    }
+    const format = chart.format ?? ((x) => number(x, 4));
+    const values = series.map((one) => {
+      const value = element('span', {class: 'plot-value'});
+      readout.append(element('span', {class: 'plot-key'}, element('i', {class: `swatch ${one.dots ? (one.hollow ? 'swatch-ring' : 'swatch-dot') : 'swatch-line'}${one.dash ? ' dashed' : ''}`,
+        style: `--c:${one.colour}`}), one.label, ' ', value));
+      return {node: value, last: lastKnown(one.values), one};
+    });
+    const thresholds = versions.map(({threshold}, r) => ({value: threshold, run: r})).filter(({value}) => isNumber(value) && value > 0)
+      .filter((t, i, all) => all.findIndex((other) => other.value === t.value) === i);
+    return {box, area, values, format, options: this.optionsFor(chart, series, thresholds), data: [Array.from({length: this.alignment.count}, (_, k) => k), ...series.map(({values: v}) => v)]};
+  }
+
+  optionsFor(chart, series, thresholds) {
+    const text = cssVariable('--muted'), grid = cssVariable('--plot-grid');
+    const axis = {stroke: text, font: '11px system-ui, sans-serif', grid: {stroke: grid, width: 1}, ticks: {show: false}, gap: 6};
+    const format = chart.format ?? ((x) => number(x, 3));
+    const few = series[0].values.length <= 400;
+    const drawThresholds = (u) => {
+      for (const {value} of thresholds) {
+        const y = u.valToPos(value, 'y', true);
+        const {ctx, bbox} = u;
+        if (y < bbox.top || y > bbox.top + bbox.height) continue;
+        ctx.save();
+        ctx.strokeStyle = cssVariable('--threshold');
+        ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+        ctx.lineWidth = 1.4 * devicePixelRatio;
+        ctx.beginPath();
+        ctx.moveTo(bbox.left, y);
+        ctx.lineTo(bbox.left + bbox.width, y);
+        ctx.stroke();
+        ctx.fillStyle = text;
+        ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+        ctx.textAlign = 'right';
+        const below = y - bbox.top < 16 * devicePixelRatio;
+        ctx.textBaseline = below ? 'top' : 'bottom';
+        ctx.fillText(`threshold ${number(value, 3)}`, bbox.left + bbox.width - 2, y + (below ? 3 : -2));
+        ctx.restore();
+      }
+    };
+    const reach = Math.max(...thresholds.map(({value}) => value), 0) * 1.1;
+    const range = (u, low, high) => (low == null ? [0, Math.max(reach, 1)] : uPlot.rangeNum(Math.min(low, 0), Math.max(high, reach), 0.08, true));
+    return {
+      width: 300, height: kHeight, legend: {show: false}, padding: [8, 8, 0, 0],
+      cursor: {y: false, drag: {x: false, y: false, setScale: false}, points: {size: 6}},
+      scales: {x: {time: false, range: [0, Math.max(this.alignment.count - 1, 1)]}, y: chart.log ? {distr: 3} : {range}},
+      axes: [{...axis, size: 26, space: 60, values: (u, list) => list.map((x) => (Number.isInteger(x) ? number(x) : ''))},
+        {...axis, size: 56, space: 28, values: (u, list) => list.map((x) => (x == null ? '' : format(x)))}],
+      series: [{}, ...series.map((one) => ({
+        label: one.label, stroke: one.colour, width: 1.5, dash: one.dash ? [5, 4] : undefined, spanGaps: true,
+        ...(one.dots ? {paths: () => null, points: {show: true, size: few ? 5 : 3, width: 1, stroke: one.colour, fill: one.hollow ? 'transparent' : one.colour}}
+          : {points: {show: false}}),
+      }))],
+      hooks: {draw: [drawThresholds]},
+    };
+  }
+
+  start(entry) {
+    entry.options.width = Math.max(entry.area.clientWidth, 120);
+    entry.plot = new uPlot(entry.options, entry.data, entry.area);
+    entry.line = element('div', {class: 'plot-step'});
+    const {over} = entry.plot;
+    over.append(entry.line);
+    const move = (event) => {
+      const x = event.clientX - over.getBoundingClientRect().left;
+      this.onStep(entry.plot.posToVal(x, 'x'));
+    };
+    over.addEventListener('pointerdown', (event) => {
+      if (event.button !== 0) return;
+      over.setPointerCapture(event.pointerId);
+      move(event);
+    });
+    over.addEventListener('pointermove', (event) => {
+      if (over.hasPointerCapture(event.pointerId)) move(event);
+    });
+  }
+
+  resize() {
+    for (const {plot, area} of this.plots) {
+      if (plot && area.clientWidth > 0 && area.clientWidth !== plot.width) plot.setSize({width: area.clientWidth, height: kHeight});
+    }
+    this.setPosition(this.position);
+  }
+
+  setPosition(position) {
+    this.position = position;
+    for (const {plot, line, values, format} of this.plots) {
+      if (!plot) continue;
+      line.style.transform = `translateX(${plot.valToPos(position, 'x').toFixed(1)}px)`;
+      for (const {node, last, one} of values) {
+        // Of dots only what belongs to this very step; lines hold until their next value.
+        const at = last[position];
+        node.textContent = at < 0 || (one.dots && at !== position) ? '–' : format(one.values[at]);
+      }
+    }
+  }
+}
