@@ -52,30 +52,6 @@ bool IsRefused(const Candidate& link) { return link.outlier && !link.supported; 
 
 }  // namespace
 
-const char* Name(Strategy strategy) {
-  switch (strategy) {
-    case Strategy::kApal: return "apal";
-    case Strategy::kApfl: return "apfl";
-    case Strategy::kFpfl: return "fpfl";
-    case Strategy::kRfpfl: return "rfpfl";
-  }
-  return "unknown";
-}
-
-const char* Name(PoseVerdict verdict) {
-  switch (verdict) {
-    case PoseVerdict::kFirst: return "first";
-    case PoseVerdict::kAllKept: return "all_kept";
-    case PoseVerdict::kLoopClosed: return "loop_closed";
-    case PoseVerdict::kPrior: return "prior";
-    case PoseVerdict::kNothingInRange: return "nothing_in_range";
-    case PoseVerdict::kInformative: return "informative";
-    case PoseVerdict::kRedundant: return "redundant";
-    case PoseVerdict::kDrawn: return "drawn";
-  }
-  return "unknown";
-}
-
 template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
     : solver_(std::make_unique<IncrementalSolver<Pose>>(options.solver)),
@@ -297,6 +273,7 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
   update.factors.insert(update.factors.end(), links.begin(), links.end());
   if (update.poses.empty() && update.factors.empty()) return {};
   const StepReport report = solver_->Update(update);
+  Accumulate(report, current.update);
   UpdateCovariances();
   const std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
   links_.insert(links_.end(), ids.begin(), ids.end());
@@ -348,6 +325,7 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
     }
     Judge(current, decision);
     if (decision.Kept()) Keep(current, {});
+    decision.update = std::move(current.update);
   } catch (...) {
     if (current.in_solver) {
       Remember(current);

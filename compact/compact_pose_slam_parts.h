@@ -6,6 +6,9 @@
 
 namespace terse {
 
+// All updates of a step as one report.
+void Accumulate(const StepReport& update, std::optional<StepReport>& sum);
+
 template <class Pose>
 struct CompactPoseSlam<Pose>::Evaluated {
   int pose = -1;  // solver index
@@ -23,6 +26,7 @@ struct CompactPoseSlam<Pose>::Current {
   Pose T_world_body;
   bool in_solver = false;
   bool concatenated = false;  // poses were dropped between base and this one
+  std::optional<StepReport> update;
 };
 
 }  // namespace terse

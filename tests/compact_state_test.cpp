@@ -55,9 +55,10 @@ std::string Fields(const Candidate& candidate) {
 }
 
 std::string Fields(const Decision& decision) {
-  const auto& [id, candidates, verdict, pose_gain, tried, accepted, refused] = decision;
-  std::string out = Bits(id) + Bits(verdict) + Bits(pose_gain) + Bits(tried) + Bits(accepted) + Bits(refused) +
-                    Bits(candidates.size());
+  const auto& [id, candidates, verdict, pose_gain, tried, accepted, refused, update] = decision;
+  EXPECT_EQ(update.has_value(), decision.Kept());
+  std::string out = (update ? Bits(update->gate_value) + Bits(update->flops) : "") + Bits(id) + Bits(verdict) +
+                    Bits(pose_gain) + Bits(tried) + Bits(accepted) + Bits(refused) + Bits(candidates.size());
   for (const Candidate& candidate : candidates) out += Fields(candidate);
   return out;
 }

@@ -62,7 +62,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
     ReadThresholds(from.thresholds, options);
   } else if (from.auto_thresholds || (!complete && from.strategy != Strategy::kApal)) {
     const double before = SecondsNow();
-    const Thresholds<Pose> chosen = SampleThresholds(graph, from.sample, "sample", from.quiet, options);
+    const Thresholds<Pose> chosen = SampleWithProgress(graph, from.sample, "sample", from.quiet, options);
     stats.more["sample"] = {{"poses", chosen.sample_poses},
                             {"loop_gain_90", chosen.loop_gain_90},
                             {"pose_gain_90", chosen.pose_gain_90},
@@ -114,11 +114,8 @@ void DrawAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, c
                   GraphReplay<Pose>& replay) {
   GraphReplay<Pose> informed(graph);
   settings.strategy = Strategy::kFpfl;
-  CompactRunOptions<Pose> run_options;
-  run_options.label = "count";
-  run_options.quiet = options.quiet;
-  const CompactRun<Pose> run = RunCompact(settings, informed, run_options);
-  replay.DrawAtRandom(run.PosesKept(), run.slam.LinksKept(), options.seed);
+  const CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), informed, "count", options.quiet);
+  replay.DrawAtRandom(run.PosesKept(), run.LinksKept(), options.seed);
 }
 
 template <class Pose>
@@ -126,9 +123,7 @@ void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& opt
   GraphReplay<Pose> replay(graph);
   const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, stats);
   if (options.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
-  CompactRunOptions<Pose> run_options;
-  run_options.quiet = options.quiet;
-  CompactRun<Pose> run = RunCompact(settings, replay, run_options);
+  CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), replay, "poses", options.quiet);
   const CompactPoseSlam<Pose>& slam = run.slam;
   const BatchResult<Pose>& result = run.result;
   stats.step_seconds = std::move(run.step_seconds);

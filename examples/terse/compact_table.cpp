@@ -75,7 +75,7 @@ class TableRun {
 
   void ChooseThresholds() {
     const double before = SecondsNow();
-    SampleThresholds(named_.graph, options_.sample, row_.graph + " sample", options_.quiet, settings_);
+    SampleWithProgress(named_.graph, options_.sample, row_.graph + " sample", options_.quiet, settings_);
     const auto& range = settings_.range;
     row_.thresholds = {{range.data(), range.data() + range.size()},
                        settings_.probability,
@@ -96,10 +96,7 @@ class TableRun {
     const int stride = std::max(1, row_.poses / kGrowthPoints);
     int step = 0;
     double solving = 0, covariances = 0;
-    CompactRunOptions<Pose> run_options;
-    run_options.label = row_.graph + ' ' + Name(strategy);
-    run_options.quiet = options_.quiet;
-    run_options.after_step = [&](const CompactPoseSlam<Pose>& slam, const Decision&, double seconds) {
+    const auto after_step = [&](const CompactPoseSlam<Pose>& slam, const Decision&, double seconds) {
       solving += seconds;
       if (strategy == Strategy::kApal) {
         if (!marginals) marginals = std::make_unique<IncrementalMarginals<Pose>>(slam.Solver());
@@ -112,9 +109,10 @@ class TableRun {
       result.growth.push_back({step, static_cast<int>(graph.Poses().size()), slam.LinksKept(), solving + covariances,
                                blocks.Nonzeros(graph), slam.Solver().Factor().FactorNonzeros()});
     };
-    CompactRun<Pose> run = RunCompact(settings, replay, run_options);
+    CompactRun<Pose> run = RunWithProgress<Pose>(CompactPoseSlam<Pose>(settings), replay,
+                                                 row_.graph + ' ' + Name(strategy), options_.quiet, after_step);
     result.poses = run.PosesKept();
-    result.links = run.slam.LinksKept();
+    result.links = run.LinksKept();
     result.registrations = run.registrations_tried;
     result.seconds_solving = solving;
     if (strategy == Strategy::kApal) result.seconds_covariances = covariances;

@@ -59,17 +59,15 @@ SweepRow RunAt(double scale, const PoseGraph<Pose>& graph, CompactOptions<Pose> 
   if (options.scaled == Scaled::kPose) settings.min_pose_gain *= scale;
   if (options.scaled == Scaled::kRange) settings.range *= scale;
   GraphReplay<Pose> replay(graph);
-  CompactRunOptions<Pose> how;
-  how.label = std::string(Name(options.scaled)) + " x " + Cell(scale);
-  how.quiet = options.quiet;
-  const CompactRun<Pose> run = RunCompact(settings, replay, how);
+  const std::string label = std::string(Name(options.scaled)) + " x " + Cell(scale);
+  const CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), replay, label, options.quiet);
   SweepRow row;
   row.scale = scale;
   row.range.assign(settings.range.data(), settings.range.data() + settings.range.size());
   row.min_loop_gain = settings.min_loop_gain;
   row.min_pose_gain = settings.min_pose_gain;
   row.poses = run.PosesKept();
-  row.links = run.slam.LinksKept();
+  row.links = run.LinksKept();
   row.registrations = run.registrations_tried;
   row.seconds = run.Seconds();
   row.ate = ComputeErrors(graph, reference, run.slam.Trajectory()).ate;
@@ -93,7 +91,7 @@ Sweep RunSweep(const PoseGraph<Pose>& graph, const SweepOptions& options) {
   // What the scale 1 stands for.
   CompactOptions<Pose> base;
   if (options.thresholds.empty()) {
-    SampleThresholds(graph, options.sample, "sample", options.quiet, base);
+    SampleWithProgress(graph, options.sample, "sample", options.quiet, base);
   } else {
     ReadThresholds(options.thresholds, base);
   }

@@ -4,7 +4,7 @@
 #include <optional>
 #include <vector>
 
-#include "terse/core/pose_graph.h"
+#include "terse/core/incremental_options.h"
 
 namespace terse {
 
@@ -36,6 +36,9 @@ struct Decision {
   int registrations_tried = 0;
   int links_accepted = 0;
   int links_refused = 0;  // by the innovation test
+  // All updates of the map in this step together (one per link that is added; with kApal one for all): whether any
+  // opened the gate, the greatest gate value, sums of work. Absent if the pose was dropped.
+  std::optional<StepReport> update;
   bool Kept() const { return verdict != PoseVerdict::kRedundant; }
 };
 

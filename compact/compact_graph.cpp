@@ -1,0 +1,84 @@
+#include "terse/compact/compact_graph.h"
+
+#include <chrono>
+#include <numeric>
+#include <stdexcept>
+
+#include "terse/core/error.h"
+
+namespace terse {
+
+template <class Pose>
+PoseGraph<Pose> CompactRun<Pose>::KeptGraph() const {
+  PoseGraph<Pose> kept = slam.Solver().Graph();
+  for (std::size_t k = 0; k < result.T_world_body.size(); ++k) kept.SetPose(kept.Poses()[k].id, result.T_world_body[k]);
+  return kept;
+}
+
+template <class Pose>
+double CompactRun<Pose>::Seconds() const {
+  return std::accumulate(step_seconds.begin(), step_seconds.end(), 0.0);
+}
+
+template <class Pose>
+CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, GraphReplay<Pose>& replay, const AfterStep<Pose>& after_step) {
+  using Clock = std::chrono::steady_clock;
+  CompactRun<Pose> run{std::move(slam), {}, {}, replay.LinksOffered(), 0, 0, {}};
+  const Registration<Pose> registration = replay.AsRegistration();
+  for (const auto& input : replay.Inputs()) {
+    const Clock::time_point before = Clock::now();
+    run.decisions.push_back(run.slam.AddPose(input, registration));
+    run.step_seconds.push_back(std::chrono::duration<double>(Clock::now() - before).count());
+    const Decision& decision = run.decisions.back();
+    run.links_refused += decision.links_refused;
+    run.registrations_tried += decision.registrations_tried;
+    if (after_step) after_step(run.slam, decision, run.step_seconds.back());
+  }
+  run.result = run.slam.Finish();
+  if (run.result.termination == Termination::kNotPositiveDefinite || run.result.termination == Termination::kDiverged) {
+    throw NumericalError(run.result.message);
+  }
+  return run;
+}
+
+template <class Pose>
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options) {
+  if (options.strategy == Strategy::kRfpfl) {
+    throw std::invalid_argument("rfpfl draws its poses from a replay beforehand: call RunCompact with it");
+  }
+  GraphReplay<Pose> replay(graph);
+  return RunCompact(CompactPoseSlam<Pose>(options), replay);
+}
+
+template <class Pose>
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy) {
+  CompactOptions<Pose> options;
+  options.strategy = strategy;
+  SampleThresholds(graph, options);
+  return CompactGraph(graph, options);
+}
+
+template <class Pose>
+Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<Pose>& options, SampleOptions sample) {
+  sample.probability = options.probability;
+  sample.distance = options.distance;
+  sample.innovation_quantile = options.innovation_quantile;
+  const Thresholds<Pose> chosen = SelectThresholds(graph, sample);
+  options.range = chosen.range;
+  options.min_loop_gain = chosen.min_loop_gain;
+  options.min_pose_gain = chosen.min_pose_gain;
+  options.link_covariance = chosen.link_covariance;
+  return chosen;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                                  \
+  template struct CompactRun<Pose>;                                                                              \
+  template CompactRun<Pose> RunCompact<Pose>(CompactPoseSlam<Pose>, GraphReplay<Pose>&, const AfterStep<Pose>&); \
+  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&);             \
+  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, Strategy);                                \
+  template Thresholds<Pose> SampleThresholds<Pose>(const PoseGraph<Pose>&, CompactOptions<Pose>&, SampleOptions);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse

@@ -1,0 +1,59 @@
+#pragma once
+// A stored graph through compact pose SLAM: its poses in order of arrival, its edges as the registration
+// (graph_replay.h), and then to the optimum of what was kept.
+//
+//     const CompactRun<SE3> run = CompactGraph(graph);
+//     WriteG2o(run.KeptGraph(), "compact.g2o");
+
+#include <functional>
+#include <vector>
+
+#include "terse/compact/thresholds.h"
+
+namespace terse {
+
+template <class Pose>
+struct CompactRun {
+  CompactPoseSlam<Pose> slam;
+  std::vector<Decision> decisions;   // one per pose, in order of arrival
+  std::vector<double> step_seconds;  // of AddPose
+  int links_offered = 0;             // edges beside the odometry
+  int registrations_tried = 0, links_refused = 0;
+  BatchResult<Pose> result;  // of the kept graph
+
+  int PosesKept() const { return static_cast<int>(slam.Solver().Graph().Poses().size()); }
+  int LinksKept() const { return slam.LinksKept(); }
+  // Kept poses and links with the values of `result`.
+  PoseGraph<Pose> KeptGraph() const;
+  double Seconds() const;  // of all steps; the closing iterations are not counted
+};
+
+// Called after every step with the seconds it took; its own time is not counted.
+template <class Pose>
+using AfterStep = std::function<void(const CompactPoseSlam<Pose>&, const Decision&, double seconds)>;
+
+// All inputs of the replay through `slam`, which may have seen poses before. Throws NumericalError if the kept map has
+// no optimum, and what AddPose throws.
+template <class Pose>
+CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, GraphReplay<Pose>& replay,
+                            const AfterStep<Pose>& after_step = nullptr);
+
+// With the options as they are. Throws std::invalid_argument besides if the graph is empty or not connected, or for
+// Strategy::kRfpfl, whose replay draws first (GraphReplay::DrawAtRandom).
+template <class Pose>
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options);
+// With thresholds from a sample of the graph (SampleThresholds), all else as CompactOptions has it.
+template <class Pose>
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kFpfl);
+
+// Puts thresholds from a sample of the graph (SelectThresholds) into `options`: range, gains and the link covariance
+// they go with. The sample's probability, distance and innovation quantile are those of `options`; its share and size
+// are asked for in `sample`. Returns what they were chosen by.
+template <class Pose>
+Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<Pose>& options,
+                                  SampleOptions sample = {});
+
+extern template struct CompactRun<SE2>;
+extern template struct CompactRun<SE3>;
+
+}  // namespace terse
