@@ -46,25 +46,6 @@ Matrix<3, 3> BestRotation(const Matrix<3, 3>& C, Alignment alignment) {
   return R;
 }
 
-SE3 Align(const std::vector<SE3>& estimate, const std::vector<SE3>& reference, Alignment alignment) {
-  if (alignment == Alignment::kNone) return SE3();
-  Vector<3> mean_estimate = Vector<3>::Zero(), mean_reference = Vector<3>::Zero();
-  for (std::size_t i = 0; i < estimate.size(); ++i) {
-    mean_estimate += estimate[i].Translation();
-    mean_reference += reference[i].Translation();
-  }
-  mean_estimate /= static_cast<double>(estimate.size());
-  mean_reference /= static_cast<double>(estimate.size());
-  Matrix<3, 3> C = Matrix<3, 3>::Zero();
-  for (std::size_t i = 0; i < estimate.size(); ++i) {
-    C += (reference[i].Translation() - mean_reference) * (estimate[i].Translation() - mean_estimate).transpose();
-  }
-  const SO3 rotation = SO3::FromMatrix(BestRotation(C, alignment));
-  Vector<3> translation = mean_reference - rotation * mean_estimate;
-  if (alignment == Alignment::kSE2) translation.z() = 0;
-  return SE3(rotation, translation);
-}
-
 // RPE over all pairs i < j. With E = (R_i^-1 R_j)^-1 (S_i^-1 S_j), reference R and estimate S, and the rotation
 // M_k = rot(R_k) rot(S_k)^-1:
 //   |translation of E| = |M_i (s_j - s_i) - (r_j - r_i)|,   angle of E = angle between M_i and M_j.
@@ -248,6 +229,26 @@ bool AreIds(const std::vector<double>& stamps) {
 std::string Count(const Trajectory& trajectory) { return std::to_string(trajectory.stamps.size()); }
 
 }  // namespace
+
+SE3 Align(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference, Alignment alignment) {
+  if (alignment == Alignment::kNone) return SE3();
+  Vector<3> mean_estimate = Vector<3>::Zero(), mean_reference = Vector<3>::Zero();
+  for (std::size_t i = 0; i < T_world_estimate.size(); ++i) {
+    mean_estimate += T_world_estimate[i].Translation();
+    mean_reference += T_world_reference[i].Translation();
+  }
+  mean_estimate /= static_cast<double>(T_world_estimate.size());
+  mean_reference /= static_cast<double>(T_world_estimate.size());
+  Matrix<3, 3> C = Matrix<3, 3>::Zero();
+  for (std::size_t i = 0; i < T_world_estimate.size(); ++i) {
+    C += (T_world_reference[i].Translation() - mean_reference) *
+         (T_world_estimate[i].Translation() - mean_estimate).transpose();
+  }
+  const SO3 rotation = SO3::FromMatrix(BestRotation(C, alignment));
+  Vector<3> translation = mean_reference - rotation * mean_estimate;
+  if (alignment == Alignment::kSE2) translation.z() = 0;
+  return SE3(rotation, translation);
+}
 
 Evaluation Evaluate(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference,
                     const EvaluateOptions& options) {

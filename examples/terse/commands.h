@@ -28,6 +28,8 @@ void AddTableCommand(CLI::App& app);
 void AddCompactTable(CLI::App& table);  // a subcommand of table
 void AddSweepCommand(CLI::App& app);
 void AddKittiCommand(CLI::App& app);
+void AddReportCommand(CLI::App& app);
+void AddPlotCommand(CLI::App& app);
 
 // --rotation-information and --repair-information, for every subcommand that reads a graph.
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);

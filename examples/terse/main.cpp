@@ -68,6 +68,8 @@ int Run(int argc, char** argv) {
   terse::AddGenerateCommand(app);
   terse::AddTableCommand(app);
   terse::AddSweepCommand(app);
+  terse::AddReportCommand(app);
+  terse::AddPlotCommand(app);
   try {
     app.parse(argc, argv);
     return 0;

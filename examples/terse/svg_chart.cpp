@@ -15,20 +15,6 @@ constexpr double kPanelWidth = 480, kPanelHeight = 330;                         
 constexpr double kLeft = 82, kRight = 22, kTop = 44, kBottom = 60, kHead = 46;  // margins, and the title's height
 constexpr const char* kColours[] = {"#0b62c4", "#d1480b", "#1a7f37", "#8250df", "#9a6700", "#bf3989"};
 
-std::string Escaped(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    switch (c) {
-      case '&': out += "&amp;"; break;
-      case '<': out += "&lt;"; break;
-      case '>': out += "&gt;"; break;
-      case '"': out += "&quot;"; break;
-      default: out += c;
-    }
-  }
-  return out;
-}
-
 // Thousands apart, and no more digits than a tick needs.
 std::string TickText(double value) {
   char text[32];
@@ -67,24 +53,32 @@ class Axis {
   const std::vector<double>& Ticks() const { return ticks_; }
 
  private:
-  void CloseLinear() {
-    if (from_zero_ && low_ > 0) low_ = 0;
-    if (low_ == high_) high_ += std::max(1.0, std::abs(high_));
+  double NiceStep() const {
     const double rough = (high_ - low_) / 5, power = std::pow(10, std::floor(std::log10(rough)));
     double step = 10 * power;
     for (const double nice : {5.0, 2.0, 1.0}) {
       if (nice * power >= 0.999 * rough) step = nice * power;
     }
-    if (is_whole_) step = std::max(step, 1.0);
-    if (from_zero_) high_ = step * std::ceil(high_ / step - 1e-9);
+    return step;
+  }
+  void TickEvery(double step) {
     for (long k = std::lround(std::ceil(low_ / step - 1e-9)); static_cast<double>(k) * step <= high_ + 1e-9 * step;
          ++k) {
       ticks_.push_back(static_cast<double>(k) * step);
     }
   }
-  // Powers of two about one; 1, 2, 5 within few decades, decades alone within many.
+  void CloseLinear() {
+    if (from_zero_ && low_ > 0) low_ = 0;
+    if (low_ == high_) high_ += std::max(1.0, std::abs(high_));
+    const double step = is_whole_ ? std::max(NiceStep(), 1.0) : NiceStep();
+    if (from_zero_) high_ = step * std::ceil(high_ / step - 1e-9);
+    TickEvery(step);
+  }
+  // As on a linear axis within less than a decade; powers of two about one; 1, 2, 5 within few decades, decades alone
+  // within many.
   void CloseLogarithmic() {
     if (from_zero_ || low_ == high_) low_ /= 1.1, high_ *= 1.1;
+    if (high_ < 4 * low_) return TickEvery(NiceStep());
     if (low_ > 0.05 && high_ < 20 && high_ < 64.1 * low_) {
       for (double tick = 1.0 / 16; tick <= 1.001 * high_; tick *= 2) {
         if (tick >= 0.999 * low_) ticks_.push_back(tick);
@@ -118,26 +112,28 @@ class Picture {
     out_.precision(1);
     for (const ChartPanel& panel : panels) {
       for (const ChartLine& line : panel.lines) {
-        if (std::find(names_.begin(), names_.end(), line.name) == names_.end()) names_.push_back(line.name);
+        if (!line.x.empty() && std::find(names_.begin(), names_.end(), line.name) == names_.end())
+          names_.push_back(line.name);
       }
     }
   }
 
   std::string Draw() {
     const int rows = (static_cast<int>(panels_.size()) + columns_ - 1) / columns_;
-    const double width = kPanelWidth * columns_, legend = names_.size() > 1 ? 34 : 8;
-    const double height = kHead + kPanelHeight * rows + legend;
+    const double width = kPanelWidth * columns_, body = kHead + kPanelHeight * rows;
+    const std::vector<std::pair<double, double>> legend = PlaceLegend(body + 14, width);
+    const double height = legend.size() > 1 ? legend.back().second + 20 : body + 8;
     out_ << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 " << width << ' ' << height << "\" width=\""
          << width << "\" height=\"" << height
          << "\" font-family=\"system-ui,-apple-system,Segoe UI,Helvetica,Arial,sans-serif\" font-size=\"13\" "
             "fill=\"#424a53\">\n<title>"
-         << Escaped(title_) << "</title>\n<rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n";
+         << EscapeXml(title_) << "</title>\n<rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n";
     Text(kLeft, 28, title_, "start", " font-size=\"17\" font-weight=\"600\" fill=\"#1f2328\"");
     for (std::size_t k = 0; k < panels_.size(); ++k) {
       const int at = static_cast<int>(k);
       Panel(panels_[k], kPanelWidth * (at % columns_) + kLeft, kHead + kPanelHeight * (at / columns_) + kTop);
     }
-    if (names_.size() > 1) Legend(kHead + kPanelHeight * rows + 14);
+    if (names_.size() > 1) Legend(legend);
     out_ << "</svg>\n";
     return out_.str();
   }
@@ -146,8 +142,8 @@ class Picture {
   static constexpr double kWidth = kPanelWidth - kLeft - kRight, kHeight = kPanelHeight - kTop - kBottom;
 
   void Text(double x, double y, const std::string& text, const char* anchor, const char* more = "") {
-    out_ << "<text x=\"" << x << "\" y=\"" << y << "\" text-anchor=\"" << anchor << "\"" << more << ">" << Escaped(text)
-         << "</text>\n";
+    out_ << "<text x=\"" << x << "\" y=\"" << y << "\" text-anchor=\"" << anchor << "\"" << more << ">"
+         << EscapeXml(text) << "</text>\n";
   }
   const char* ColourOf(const std::string& name) const {
     const auto at = static_cast<std::size_t>(std::find(names_.begin(), names_.end(), name) - names_.begin());
@@ -179,36 +175,51 @@ class Picture {
          << "\" fill=\"none\" stroke=\"#6e7781\"/>\n";
     Text(left + kWidth / 2, bottom + 42, panel.x_label, "middle");
     out_ << "<text transform=\"translate(" << left - 64 << ',' << top + kHeight / 2
-         << ") rotate(-90)\" text-anchor=\"middle\">" << Escaped(panel.y_label) << "</text>\n";
+         << ") rotate(-90)\" text-anchor=\"middle\">" << EscapeXml(panel.y_label) << "</text>\n";
     for (const ChartLine& line : panel.lines) {
       std::vector<std::pair<double, double>> points;
       for (std::size_t k = 0; k < line.x.size(); ++k) {
         if (!x.Takes(line.x[k]) || !y.Takes(line.y[k])) continue;
         points.emplace_back(left + kWidth * x.Share(line.x[k]), bottom - kHeight * y.Share(line.y[k]));
       }
-      Curve(points, ColourOf(line.name), line.marked);
+      Curve(points, line);
     }
   }
 
-  void Curve(const std::vector<std::pair<double, double>>& points, const char* colour, bool marked) {
+  void Curve(const std::vector<std::pair<double, double>>& points, const ChartLine& line) {
     if (points.empty()) return;
-    out_ << "<polyline fill=\"none\" stroke-width=\"1.8\" stroke-linejoin=\"round\" stroke=\"" << colour
-         << "\" points=\"";
-    for (const auto& [x, y] : points) out_ << x << ',' << y << ' ';
-    out_ << "\"/>\n";
-    if (!marked) return;
+    const char* colour = ColourOf(line.name);
+    if (line.joined) {
+      out_ << "<polyline fill=\"none\" stroke-width=\"1.8\" stroke-linejoin=\"round\" stroke=\"" << colour << '"'
+           << (line.dashed ? " stroke-dasharray=\"6 4\"" : "") << " points=\"";
+      for (const auto& [x, y] : points) out_ << x << ',' << y << ' ';
+      out_ << "\"/>\n";
+    }
+    if (!line.marked) return;
+    const double radius = points.size() > 200 ? 1.5 : 3;
     for (const auto& [x, y] : points) {
-      out_ << "<circle cx=\"" << x << "\" cy=\"" << y << "\" r=\"3\" fill=\"" << colour << "\"/>\n";
+      out_ << "<circle cx=\"" << x << "\" cy=\"" << y << "\" r=\"" << radius << "\" fill=\"" << colour << "\"/>\n";
     }
   }
 
-  void Legend(double y) {
+  // Where the entries begin, in as many rows as they need.
+  std::vector<std::pair<double, double>> PlaceLegend(double y, double width) const {
+    std::vector<std::pair<double, double>> out;
     double x = kLeft;
     for (const std::string& name : names_) {
-      out_ << "<path d=\"M" << x << ',' << y - 4 << "h24\" stroke-width=\"2.5\" stroke=\"" << ColourOf(name)
+      const double entry = 62 + 7.2 * static_cast<double>(name.size());
+      if (x > kLeft && x + entry - 30 > width) x = kLeft, y += 22;
+      out.emplace_back(x, y);
+      x += entry;
+    }
+    return out;
+  }
+  void Legend(const std::vector<std::pair<double, double>>& places) {
+    for (std::size_t k = 0; k < names_.size(); ++k) {
+      const auto [x, y] = places[k];
+      out_ << "<path d=\"M" << x << ',' << y - 4 << "h24\" stroke-width=\"2.5\" stroke=\"" << ColourOf(names_[k])
            << "\"/>\n";
-      Text(x + 32, y, name, "start");
-      x += 62 + 7.2 * static_cast<double>(name.size());
+      Text(x + 32, y, names_[k], "start");
     }
   }
 
@@ -220,6 +231,20 @@ class Picture {
 };
 
 }  // namespace
+
+std::string EscapeXml(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    switch (c) {
+      case '&': out += "&amp;"; break;
+      case '<': out += "&lt;"; break;
+      case '>': out += "&gt;"; break;
+      case '"': out += "&quot;"; break;
+      default: out += c;
+    }
+  }
+  return out;
+}
 
 std::string DrawCharts(const std::string& title, const std::vector<ChartPanel>& panels, int columns) {
   return Picture(title, panels, columns).Draw();

@@ -10,6 +10,8 @@ struct ChartLine {
   std::string name;  // lines of the same name in several panels share colour and legend
   std::vector<double> x, y;
   bool marked = false;  // a dot at every point
+  bool joined = true;   // by a line, which may be dashed
+  bool dashed = false;
 };
 
 struct ChartPanel {
@@ -20,6 +22,9 @@ struct ChartPanel {
 
 // `columns` panels in a row. What is not finite is left out. Lines without points draw nothing.
 std::string DrawCharts(const std::string& title, const std::vector<ChartPanel>& panels, int columns = 2);
+
+// For text and attributes.
+std::string EscapeXml(const std::string& text);
 
 // Written whole or not at all. Throws FileError.
 void WriteText(const std::string& text, const std::string& path);

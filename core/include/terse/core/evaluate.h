@@ -41,6 +41,10 @@ struct EvaluateOptions {
 Evaluation Evaluate(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference,
                     const EvaluateOptions& options = {});
 
+// T_reference_estimate: the motion that lays the estimated positions over the reference, as for ATE. Of the same number
+// of poses each, at least one; they are not checked.
+SE3 Align(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference, Alignment alignment);
+
 // The poses of both at matching stamps, as {estimate, reference}. KITTI files have line numbers for stamps, so
 // they match graph ids; against a TUM file in seconds with as many poses they match line by line; two TUM files
 // match at the nearest stamp within 10 ms. Throws std::invalid_argument with a reason if fewer than two match.

@@ -1,0 +1,68 @@
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <iostream>
+
+#include "commands.h"
+#include "run_report.h"
+
+namespace terse {
+namespace {
+
+struct ReportOptions {
+  std::vector<std::string> folders;
+  std::string output;
+  bool open = false, quiet = false;
+};
+
+// With the desktop's own program for it.
+void OpenInBrowser(const std::string& path) {
+#ifdef __APPLE__
+  constexpr const char* kOpener = "open";
+#else
+  constexpr const char* kOpener = "xdg-open";
+#endif
+  const pid_t child = fork();
+  if (child == 0) {
+    execlp(kOpener, kOpener, path.c_str(), static_cast<char*>(nullptr));
+    _exit(127);
+  }
+  int status = 0;
+  if (child > 0 && waitpid(child, &status, 0) == child && WIFEXITED(status) && WEXITSTATUS(status) == 0) return;
+  throw FileError(path, 0,
+                  std::string("written, but ") + kOpener +
+                      " could not open it (package xdg-utils on Debian); open the file in a browser");
+}
+
+void Report(const ReportOptions& options) {
+  std::vector<RunFolder> runs;
+  for (const std::string& folder : options.folders) runs.push_back(ReadRunFolder(folder));
+  std::string output = options.output;
+  if (output.empty()) output = options.folders.front() + (runs.size() == 1 ? "/report.html" : "/comparison.html");
+  WriteReport(runs, output);
+  output = std::filesystem::canonical(output).string();
+  if (!options.quiet) {
+    std::cout << "report: " << output << '\n';
+    FlushOutput();
+  }
+  if (options.open) OpenInBrowser(output);
+}
+
+}  // namespace
+
+void AddReportCommand(CLI::App& app) {
+  auto options = std::make_shared<ReportOptions>();
+  CLI::App* command = app.add_subcommand("report", "A run as one HTML page: map, decisions, plots; two side by side");
+  command->add_option("DIR", options->folders, "The folder of a run (compact, kitti, table); a second to compare with")
+      ->required()
+      ->expected(1, 2);
+  command->add_option("--output", options->output, "The page; by default report.html (of two, comparison.html) in DIR")
+      ->type_name("FILE");
+  command->add_flag("--open", options->open, "Show it in the browser");
+  command->add_flag("--quiet", options->quiet, "Print nothing but errors");
+  command->footer("Example: terse report laps_fpfl --open");
+  command->callback([options] { Report(*options); });
+}
+
+}  // namespace terse

@@ -1,0 +1,203 @@
+#include "run_folder.h"
+
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <sstream>
+#include <unordered_map>
+
+#include "terse/core/error.h"
+#include "terse/core/evaluate.h"
+
+namespace terse {
+namespace {
+
+using std::size_t;
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+
+std::string ReadText(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) {
+    throw FileError(path, 0, "cannot read; expected a folder written by terse compact, kitti or table compact");
+  }
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+template <class Json>
+Json ReadObject(const std::string& path) {
+  Json object = Json::parse(ReadText(path), nullptr, false);
+  if (!object.is_object()) throw FileError(path, 0, "expected a JSON object");
+  return object;
+}
+
+// What nlohmann finds wrong while `work` takes an object apart.
+template <class Work>
+void WithJsonErrors(const std::string& path, long line, const Work& work) {
+  try {
+    work();
+  } catch (const nlohmann::json::exception& error) {
+    throw FileError(path, line, std::string("not as terse writes it: ") + error.what());
+  }
+}
+
+void RequireCount(const std::string& path, size_t count, size_t poses) {
+  if (count == poses) return;
+  throw FileError(path, 0,
+                  std::to_string(count) + " rows, but graph.json beside it has " + std::to_string(poses) +
+                      " poses; the files of one run belong together");
+}
+
+std::optional<double> Optional(const nlohmann::json& value) {
+  return value.is_number() ? std::optional<double>(value.get<double>()) : std::nullopt;
+}
+
+class Reader {
+ public:
+  explicit Reader(RunFolder& run) : run_(run) {}
+
+  void ReadPoses(const nlohmann::json& graph) {
+    run_.dimension = graph.at("dimension").get<int>();
+    for (const auto& pose : graph.at("poses")) {
+      const auto id = pose.at("id").get<std::int64_t>();
+      index_[id] = static_cast<int>(run_.ids.size());
+      run_.ids.push_back(id);
+      run_.kept.push_back(pose.at("kept").get<bool>() ? 1 : 0);
+    }
+  }
+
+  void ReadEdges(const nlohmann::json& graph) {
+    for (const auto& edge : graph.at("edges")) {
+      const auto index = [&](const char* key) { return IndexOf(edge.at(key), run_.path + "/graph.json"); };
+      const int from = index("from"), to = index("to");
+      if (edge.at("kind") == "loop") {
+        const auto innovation = innovations_.find(edge.at("factor").get<long>());
+        run_.links.push_back({from, to, index("added_at"), Optional(edge.at("gain_nats")),
+                              innovation != innovations_.end() ? innovation->second : std::nullopt});
+      } else {
+        const auto composed = edge.find("composed_of");
+        const int dropped = composed != edge.end() ? static_cast<int>(composed->size()) - 2 : 0;
+        run_.chain.push_back({from, to, std::max(0, dropped)});
+      }
+    }
+  }
+
+  void ReadDecisions(const std::string& path) {
+    std::istringstream lines(ReadText(path));
+    long number = 0;
+    run_.decisions = nlohmann::json::array();
+    for (std::string line; std::getline(lines, line);) {
+      WithJsonErrors(path, ++number, [&] {
+        nlohmann::json decision = nlohmann::json::parse(line);
+        for (const auto& candidate : decision.at("candidates")) {
+          IndexOf(candidate.at("id"), path);
+          if (!candidate.at("factor").is_number()) continue;
+          innovations_[candidate.at("factor").get<long>()] = Optional(candidate.at("innovation"));
+        }
+        run_.decisions.push_back(std::move(decision));
+      });
+    }
+    RequireCount(path, run_.decisions.size(), run_.ids.size());
+  }
+
+  // A missing pose has no covariance: those of a run by the random baseline with few poses, say.
+  void ReadCovariances(const std::string& path) {
+    const auto [names, rows] = ReadCsv(path);
+    const int size = run_.dimension == 3 ? 6 : 3;
+    for (size_t r = 0; r < rows.size(); ++r) {
+      const std::vector<double>& row = rows[r];
+      const auto found = index_.find(static_cast<std::int64_t>(row[0]));
+      if (static_cast<int>(row.size()) != 1 + size * size || found == index_.end()) {
+        throw FileError(path, static_cast<long>(r) + 2, "expected the id of a pose and its covariance");
+      }
+      Matrix<3, 3> body = Matrix<3, 3>::Zero();
+      for (int i = 0; i < run_.dimension; ++i) {
+        for (int j = 0; j < run_.dimension; ++j) body(i, j) = row[static_cast<size_t>(1 + i * size + j)];
+      }
+      const Matrix<3, 3> R = run_.T_world_body[static_cast<size_t>(found->second)].Rotation().Rotation();
+      run_.covariances.push_back({found->second, R * body * R.transpose()});
+    }
+  }
+
+  void ReadSteps(const std::string& path) {
+    const auto [names, rows] = ReadCsv(path);
+    RequireCount(path, rows.size(), run_.ids.size());
+    for (size_t column = 0; column < names.size(); ++column) {
+      for (const std::vector<double>& row : rows) run_.steps[names[column]].push_back(row[column]);
+    }
+  }
+
+ private:
+  int IndexOf(const nlohmann::json& id, const std::string& path) const {
+    const auto found = index_.find(id.get<std::int64_t>());
+    if (found != index_.end()) return found->second;
+    throw FileError(path, 0, "names pose " + id.dump() + ", which is not among the poses of graph.json");
+  }
+
+  static std::pair<std::vector<std::string>, std::vector<std::vector<double>>> ReadCsv(const std::string& path) {
+    std::istringstream lines(ReadText(path));
+    std::vector<std::string> names;
+    std::vector<std::vector<double>> rows;
+    std::string line, cell;
+    std::getline(lines, line);
+    for (std::istringstream head(line); std::getline(head, cell, ',');) names.push_back(cell);
+    while (std::getline(lines, line)) {
+      std::vector<double>& row = rows.emplace_back();
+      for (size_t start = 0; start <= line.size();) {
+        const size_t end = std::min(line.find(',', start), line.size());
+        double value = kNone;
+        const char *first = line.data() + start, *last = line.data() + end;
+        if (first != last && std::from_chars(first, last, value).ptr != last) {
+          throw FileError(path, static_cast<long>(rows.size()) + 1,
+                          "\"" + std::string(first, last) + "\" is no number");
+        }
+        row.push_back(value);
+        start = end + 1;
+      }
+      if (row.size() == names.size()) continue;
+      throw FileError(
+          path, static_cast<long>(rows.size()) + 1,
+          "expected " + std::to_string(names.size()) + " cells as in the header, found " + std::to_string(row.size()));
+    }
+    return {names, rows};
+  }
+
+  RunFolder& run_;
+  std::unordered_map<std::int64_t, int> index_;
+  std::unordered_map<long, std::optional<double>> innovations_;  // by factor
+};
+
+}  // namespace
+
+RunFolder ReadRunFolder(const std::string& path) {
+  if (!std::filesystem::is_directory(path)) {
+    throw FileError(path, 0, "no such folder; expected one written by terse compact, kitti or table compact");
+  }
+  RunFolder run;
+  run.path = path;
+  run.name = std::filesystem::canonical(path).filename().string();
+  const std::string graph_path = path + "/graph.json";
+  const auto graph = ReadObject<nlohmann::json>(graph_path);
+  run.thresholds = ReadObject<nlohmann::ordered_json>(path + "/thresholds.json");
+  run.stats = ReadObject<nlohmann::ordered_json>(path + "/stats.json");
+  Reader reader(run);
+  WithJsonErrors(graph_path, 0, [&] { reader.ReadPoses(graph); });
+  run.T_world_body = ReadTrajectory(path + "/trajectory.tum").T_world_body;
+  RequireCount(path + "/trajectory.tum", run.T_world_body.size(), run.ids.size());
+  reader.ReadDecisions(path + "/decisions.jsonl");
+  WithJsonErrors(graph_path, 0, [&] { reader.ReadEdges(graph); });
+  reader.ReadSteps(path + "/steps.csv");
+  reader.ReadCovariances(path + "/covariances.csv");
+  const std::string truth_path = path + "/ground_truth.tum";
+  if (std::filesystem::exists(truth_path)) {
+    std::vector<SE3> truth = ReadTrajectory(truth_path).T_world_body;
+    RequireCount(truth_path, truth.size(), run.ids.size());
+    const SE3 T_estimate_truth = Align(truth, run.T_world_body, run.dimension == 3 ? Alignment::kSE3 : Alignment::kSE2);
+    for (SE3& T : truth) T = T_estimate_truth * T;
+    run.T_world_body_true = std::move(truth);
+  }
+  return run;
+}
+
+}  // namespace terse
