@@ -1,0 +1,66 @@
+// What compact pose SLAM decided.
+
+#include <pybind11/stl.h>
+
+#include "bindings.h"
+#include "values.h"
+
+namespace terse::python {
+namespace {
+
+std::optional<std::int64_t> ValueOf(const std::optional<FactorId>& id) {
+  return id ? std::optional<std::int64_t>(id->value) : std::nullopt;
+}
+
+void BindCandidate(py::module_& module) {
+  py::class_<Candidate>(module, "Candidate", "A kept pose that a new one may be linked to.")
+      .def_property_readonly("pose_id", [](const Candidate& c) { return c.id.value; }, "Its id.")
+      .def_readonly("probability", &Candidate::probability, "Of being in range, least over the dimensions.")
+      .def_readonly("gain", &Candidate::gain, "Nats, with the expected covariance of a link.")
+      .def_readonly("tried", &Candidate::tried, "Whether it was registered.")
+      .def_readonly("measured_gain", &Candidate::measured_gain,
+                    "Nats, with the registered covariance; None if registration failed or was not tried.")
+      .def_readonly("innovation", &Candidate::innovation,
+                    "Squared Mahalanobis distance of the link from what was known; None if it was not tested.")
+      .def_readonly("outlier", &Candidate::outlier, "The innovation is too large: refused, whatever its gain.")
+      .def_readonly("supported", &Candidate::supported, "It was, but others agree with it.")
+      .def_readonly("accepted", &Candidate::accepted, "Whether the link is in the map.")
+      .def_property_readonly("factor_id", [](const Candidate& c) { return ValueOf(c.factor); },
+                             "Of the link if it was accepted, else None; remove_link takes it.")
+      .def("__repr__", [](const Candidate& c) {
+        return "<terse.Candidate " + std::to_string(c.id.value) + (c.accepted ? ", accepted>" : ">");
+      });
+}
+
+}  // namespace
+
+void BindDecision(py::module_& module) {
+  BindCandidate(module);
+  py::class_<Decision>(module, "Decision", "What was decided on a pose, and on what grounds.")
+      .def_property_readonly("pose_id", [](const Decision& d) { return d.id.value; }, "The pose.")
+      .def_property_readonly("kept", &Decision::Kept, "Whether it is in the map.")
+      .def_property_readonly("verdict", [](const Decision& d) { return Name(d.verdict); },
+                             "Why: first, all_kept, loop_closed, prior, nothing_in_range, informative, redundant or drawn.")
+      .def_readonly("pose_gain", &Decision::pose_gain,
+                    "Least gain of a possible link, nats; None if nothing was in range.")
+      .def_readonly("registrations_tried", &Decision::registrations_tried, "How often the registration was asked.")
+      .def_readonly("links_accepted", &Decision::links_accepted, "Links that are in the map.")
+      .def_readonly("links_refused", &Decision::links_refused, "Links that the innovation test refused.")
+      .def_readonly("candidates", &Decision::candidates, "List of Candidate, in the order they were settled. A copy.")
+      .def("__repr__", [](const Decision& d) {
+        return "<terse.Decision: pose " + std::to_string(d.id.value) + " " + Name(d.verdict) + ">";
+      });
+  py::class_<LinkDecision>(module, "LinkDecision", "What was decided on a link that came late.")
+      .def_property_readonly("from_id", [](const LinkDecision& d) { return d.from.value; },
+                             "The kept pose that its first end was carried to.")
+      .def_property_readonly("to_id", [](const LinkDecision& d) { return d.to.value; },
+                             "The kept pose that its second end was carried to.")
+      .def_readonly("gain", &LinkDecision::gain, "Nats, with the measured covariance.")
+      .def_readonly("innovation", &LinkDecision::innovation, "Squared Mahalanobis distance; None if it was not tested.")
+      .def_readonly("outlier", &LinkDecision::outlier, "The innovation is too large.")
+      .def_readonly("accepted", &LinkDecision::accepted, "Whether it is in the map.")
+      .def_property_readonly("factor_id", [](const LinkDecision& d) { return ValueOf(d.factor); },
+                             "If accepted, else None.");
+}
+
+}  // namespace terse::python
