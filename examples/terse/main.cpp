@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "commands.h"
+#include "reference.h"
 #include "terse/core/atomic_file.h"
 
 namespace {
@@ -68,6 +69,7 @@ int Run(int argc, char** argv) {
   terse::AddGenerateCommand(app);
   terse::AddTableCommand(app);
   terse::AddSweepCommand(app);
+  terse::AddReferenceOptions(app);
   try {
     app.parse(argc, argv);
     return 0;
