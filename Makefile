@@ -6,10 +6,11 @@ GRAPHS ?= ../shared/data/graphs
 
 packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
+package_packages = dpkg-dev file gzip
 bench_packages = libbenchmark-dev libceres-dev
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install asan format format-check deps clean help
+.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install package asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -50,6 +51,10 @@ compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM int
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'
+
+package: all ## make a Debian package, build/terse_VERSION_ARCH.deb
+	@.ci/packages $(package_packages)
+	@cd build && cpack -G DEB && rm -rf _CPack_Packages
 
 asan: build-asan/build.ninja ## build and test with the address and undefined-behaviour sanitizers
 	@cmake --build build-asan -j $(JOBS)

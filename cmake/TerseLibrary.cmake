@@ -3,13 +3,16 @@ include(GNUInstallDirs)
 # An installed library finds its neighbours, and the command finds the libraries, wherever the tree is moved to.
 file(RELATIVE_PATH terse_libdir_from_bindir ${CMAKE_INSTALL_FULL_BINDIR} ${CMAKE_INSTALL_FULL_LIBDIR})
 
-# terse_library(NAME SOURCES ... LINKS ... PRIVATE_LINKS ...): one shared library per folder.
+# terse_library(NAME SOURCES ... LINKS ... PRIVATE_LINKS ... [EXPORT SET]): one shared library per folder.
 #
 # A missing arrow between folders is a link error (--no-undefined). Each library binds its own copies of the
 # inline Eigen functions (-Bsymbolic), so that a program compiled with other -march flags cannot replace them.
 # Sanitizers need neither: their runtime is in the program, and it takes a second copy of a variable for an error.
 function(terse_library name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;LINKS;PRIVATE_LINKS" ${ARGN})
+  cmake_parse_arguments(ARG "" "EXPORT" "SOURCES;LINKS;PRIVATE_LINKS" ${ARGN})
+  if(NOT ARG_EXPORT)
+    set(ARG_EXPORT terseTargets)
+  endif()
   add_library(${name} SHARED ${ARG_SOURCES})
   string(REPLACE "terse_" "" export_name ${name})
   add_library(terse::${export_name} ALIAS ${name})
@@ -24,7 +27,7 @@ function(terse_library name)
     target_link_options(${name} PRIVATE -Wl,-Bsymbolic -Wl,--no-undefined)
   endif()
   terse_warnings(${name})
-  install(TARGETS ${name} EXPORT terseTargets LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
+  install(TARGETS ${name} EXPORT ${ARG_EXPORT} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
   install(DIRECTORY include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 endfunction()
 

@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "commands.h"
+#include "reference.h"
 #include "terse/core/atomic_file.h"
 
 namespace {
@@ -70,6 +71,7 @@ int Run(int argc, char** argv) {
   terse::AddSweepCommand(app);
   terse::AddReportCommand(app);
   terse::AddPlotCommand(app);
+  terse::AddReferenceOptions(app);
   try {
     app.parse(argc, argv);
     return 0;

@@ -1,0 +1,19 @@
+# Run by cpack on the installed tree before it becomes a package: what Debian wants otherwise than `make install`.
+set(root ${CPACK_TEMPORARY_DIRECTORY}/usr)
+set(doc ${root}/share/doc/terse)
+
+# The loader looks into /usr/lib anyway.
+file(GLOB binaries ${root}/bin/* ${root}/lib/*.so*)
+foreach(file ${binaries})
+  if(NOT IS_SYMLINK ${file})
+    file(RPATH_REMOVE FILE ${file})
+  endif()
+endforeach()
+
+file(REMOVE ${doc}/LICENSE)  # it is in copyright
+file(COPY ${CPACK_TERSE_DEBIAN}/copyright ${CPACK_TERSE_DEBIAN}/changelog ${CPACK_TERSE_DEBIAN}/CHANGELOG.md
+     DESTINATION ${doc} FILE_PERMISSIONS OWNER_READ OWNER_WRITE GROUP_READ WORLD_READ)
+configure_file(${CPACK_TERSE_DEBIAN}/overrides ${root}/share/lintian/overrides/terse COPYONLY
+               FILE_PERMISSIONS OWNER_READ OWNER_WRITE GROUP_READ WORLD_READ)
+file(GLOB manuals ${root}/share/man/man1/*.1)
+execute_process(COMMAND gzip -9n ${doc}/changelog ${doc}/CHANGELOG.md ${manuals} COMMAND_ERROR_IS_FATAL ANY)
