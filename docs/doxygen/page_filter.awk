@@ -97,6 +97,7 @@ function ConvertText(text,    out, before, code) {
     before = substr(text, 1, RSTART - 1)
     code = substr(text, RSTART, RLENGTH)
     text = substr(text, RSTART + RLENGTH)
+    if (index(code, "'")) code = "`" code "`"  # Doxygen takes `...' for a quotation
     out = out Convert(before) code
   }
   return out Convert(text)
