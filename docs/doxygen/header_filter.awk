@@ -1,0 +1,75 @@
+# Makes documentation comments for Doxygen out of the plain ones of a public header.
+#
+# - The comment behind #pragma once becomes the file's, and that of its first class if this has no other.
+# - A block of comment lines becomes that of the declaration in the next line.
+# - A comment behind a declaration becomes its documentation, if it has none yet; else it is appended.
+# What comes out has as many lines as what goes in, so that links to the source lead to the right line.
+
+function Escape(text) {
+  gsub(/\\/, "\\\\", text); gsub(/@/, "\\@", text); gsub(/#/, "\\#", text); gsub(/%/, "\\%", text)
+  gsub(/&/, "\\&amp;", text); gsub(/</, "\\&lt;", text); gsub(/>/, "\\&gt;", text)
+  # A dot behind these does not end the first sentence.
+  gsub(/Eq\. /, "Eq.\\ ", text); gsub(/Eqs\. /, "Eqs.\\ ", text)
+  gsub(/et al\. /, "et al.\\ ", text); gsub(/e\.g\. /, "e.g.\\ ", text)
+  return text
+}
+
+function Text(line) {
+  sub(/^[ \t]*\/\/ ?/, "", line)
+  return line
+}
+
+function Indentation(line) {
+  match(line, /^[ \t]*/)
+  return substr(line, 1, RLENGTH)
+}
+
+function IsComment(line) { return line ~ /^[ \t]*\/\// }
+function IsDeclaration(line) {
+  return line !~ /^[ \t]*$/ && line !~ /^[ \t]*[})#]/ && line !~ /^[ \t]*(public|protected|private):/ && !IsComment(line)
+}
+
+{ line[NR] = $0 }
+
+function IsClass(line) { return line ~ /^class [A-Za-z]+( final)?( :.*)? \{/ }
+
+END {
+  i = 1
+  while (i <= NR && line[i] !~ /^#pragma once/) print line[i++]
+  if (IsComment(line[i + 1])) {
+    print "/// \\file"
+    while (IsComment(line[++i])) print "/// " Escape(Text(line[i]))
+    name = FILENAME
+    sub(/^.*\/include\//, "", name)
+    copy = "/** \\copydoc " name " */ "
+  }
+  for (; i <= NR; ++i) {
+    if (copy != "" && (IsClass(line[i]) || (line[i] ~ /^template </ && IsClass(line[i + 1])))) {
+      if (!documented) {
+        printf "%s", copy
+        copy = ""
+      }
+    }
+    if (IsComment(line[i])) {
+      first = i
+      while (IsComment(line[i + 1])) ++i
+      documented = IsDeclaration(line[i + 1])
+      for (k = first; k <= i; ++k) {
+        if (line[k] ~ /NOLINT/) print ""
+        else if (documented) print Indentation(line[k]) "/// " Escape(Text(line[k]))
+        else print line[k]
+      }
+      continue
+    }
+    documented = 0
+    at = match(line[i], /[;,a-zA-Z0-9_)] *\/\/ /)
+    if (at > 0 && line[i] !~ /NOLINT/ && line[i] !~ /^ *(\}|#)/ && line[i] !~ /"[^"]*\/\//) {
+      code = substr(line[i], 1, at)
+      text = substr(line[i], at + 1)
+      sub(/^ *\/\/ */, "", text)
+      print code "  ///< " Escape(text)
+    } else {
+      print line[i]
+    }
+  }
+}
