@@ -146,4 +146,16 @@ GraphFile ReadGraph(const std::string& path, const ReadOptions& options) {
   return out;
 }
 
+template <class Pose>
+PoseGraph<Pose> ReadPoseGraph(const std::string& path, const ReadOptions& options) {
+  GraphFile file = ReadGraph(path, options);
+  if (auto* graph = std::get_if<PoseGraph<Pose>>(&file.graph)) return std::move(*graph);
+  constexpr bool kIs3D = Pose::kDim == 3;
+  throw FileError(
+      path, 0,
+      std::string(kIs3D ? "holds a 2D" : "holds a 3D") + " graph, expected a " + (kIs3D ? "3D" : "2D") + " one");
+}
+template PoseGraph<SE2> ReadPoseGraph<SE2>(const std::string&, const ReadOptions&);
+template PoseGraph<SE3> ReadPoseGraph<SE3>(const std::string&, const ReadOptions&);
+
 }  // namespace terse

@@ -41,6 +41,10 @@ struct GraphFile {
 // Refused besides: a graph in pieces, several poses without an edge, a second vertex line of a pose.
 GraphFile ReadGraph(const std::string& path, const ReadOptions& options = {});
 
+// The graph alone, by those who know its dimension: ReadPoseGraph<SE3>(path). FileError if the file has the other one.
+template <class Pose>
+PoseGraph<Pose> ReadPoseGraph(const std::string& path, const ReadOptions& options = {});
+
 // Written to a temporary file in the same folder, then renamed. Throws FileError.
 template <class Pose>
 void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path,
