@@ -1,9 +1,10 @@
-// Colours: those of the page are CSS variables, the scale of gains is viridis without the end that the background hides.
+// Colours: those of the page are CSS variables, the scale of gains is viridis, turned so that the greatest gain stands out
+// most from the background, without the end that the background hides.
 
 // Viridis, every eighth of its length, sRGB.
 const kViridis = [[68, 1, 84], [71, 45, 123], [59, 82, 139], [44, 114, 142], [33, 145, 140], [40, 174, 128],
   [94, 201, 98], [173, 220, 48], [253, 231, 37]];
-const kPart = {light: [0, 0.86], dark: [0.28, 1]};
+const kPart = {light: [0.78, 0.04], dark: [0.3, 1]};
 export const kRampSize = 9;
 
 function viridis(t) {

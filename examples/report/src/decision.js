@@ -63,7 +63,7 @@ export function showDecision(node, run, k, {named, chosen, onStep}) {
   const known = decisions.registrations?.length > 0;
   const count = (name) => integer(decisions[name]?.[k] ?? NaN);
   const keptSoFar = run.keptBy[k];
-  node.replaceChildren(
+  const parts = [
     element('div', {class: 'card-head'},
       element('h2', {}, named ? `${run.name}: ` : '', `pose ${run.id[k]}`),
       element('span', {class: `badge ${run.kept[k] ? 'badge-kept' : 'badge-dropped'}`},
@@ -71,11 +71,14 @@ export function showDecision(node, run, k, {named, chosen, onStep}) {
     element('p', {class: 'explanation'}, explain(run, k)),
     gauge(decisions.pose_gain?.[k], run.thresholds.min_pose_gain),
     element('dl', {class: 'counts'},
-      [['registrations', known ? count('registrations') : '–'], ['accepted', known ? count('accepted') : '–'], ['refused', known ? count('refused') : '–'],
-        ['poses so far', `${integer(keptSoFar)} (${percent(keptSoFar, k + 1)})`], ['links so far', integer(run.linksBy[k])]]
-        .map(([name, value]) => element('div', {}, element('dt', {}, name), element('dd', {}, value)))),
+      [['tried', known ? count('registrations') : '–', 'registrations at this step'], ['accepted', known ? count('accepted') : '–', 'links of this step'],
+        ['refused', known ? count('refused') : '–', 'by the innovation test'], ['poses', `${integer(keptSoFar)} (${percent(keptSoFar, k + 1)})`, 'kept so far'],
+        ['links', integer(run.linksBy[k]), 'kept so far']]
+        .map(([name, value, why]) => element('div', {title: why}, element('dt', {}, name), element('dd', {}, value)))),
     list.length > 0 ? candidateTable(run, list)
       : element('p', {class: 'empty'}, !decisions.candidates?.length ? 'The candidates of the steps are not known: the run wrote no decisions.'
         : 'No kept pose was considered for a link at this step.'),
-    chosen != null ? chosenPose(run, chosen, onStep) : '');
+    chosen != null && chosenPose(run, chosen, onStep),
+  ];
+  node.replaceChildren(...parts.filter(Boolean));
 }

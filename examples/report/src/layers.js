@@ -7,7 +7,7 @@ import {BufferAttribute, BufferGeometry, DoubleSide, DynamicDrawUsage, Instanced
 import {kRampSize} from './colour.js';
 
 // Shared by all materials: {value} objects that the view sets when it draws.
-export const shared = {viewport: {value: new Vector2(1, 1)}, pixelRatio: {value: 1}, gains: {value: []}};
+export const shared = {viewport: {value: new Vector2(1, 1)}, pixelRatio: {value: 1}, dotScale: {value: 1}, gains: {value: []}};
 
 export const colourUniform = () => ({value: new Vector3()});
 
@@ -26,19 +26,20 @@ function prepare(object, order) {
 const kLift = 'gl_Position.z -= lift * 1e-4 * gl_Position.w;';
 
 const kDotVertex = `
-uniform float size, pixelRatio, lift;
+uniform float size, pixelRatio, dotScale, lift;
 void main() {
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
   ${kLift}
-  gl_PointSize = size * pixelRatio;
+  gl_PointSize = size * dotScale * pixelRatio;
 }`;
 
 // A disc with an edge one pixel soft; hollow if `stroke` (pixels) is positive.
 const kDotFragment = `
 uniform vec3 colour;
-uniform float size, stroke, pixelRatio, opacity;
+uniform float size, stroke, pixelRatio, dotScale, opacity;
 void main() {
-  float r = length(gl_PointCoord - 0.5) * size * pixelRatio, outer = 0.5 * size * pixelRatio;
+  float whole = size * dotScale * pixelRatio;
+  float r = length(gl_PointCoord - 0.5) * whole, outer = 0.5 * whole;
   float alpha = clamp(outer - r, 0.0, 1.0);
   if (stroke > 0.0) alpha *= clamp(r - outer + stroke * pixelRatio + 0.5, 0.0, 1.0);
   if (alpha <= 0.02) discard;
@@ -65,15 +66,16 @@ export function marker(options) {
   }};
 }
 
-// A segment is a rectangle of constant width on the screen. What lies behind the eye is cut off first.
+// A segment is a rectangle of constant width on the screen, four vertices that all know both ends. (Instances of four
+// vertices each would be less to send, but slow to draw.) What lies behind the eye is cut off first.
 const kSegmentVertex = `
-attribute vec3 start, end;
+attribute vec3 end;
 attribute float value;
 uniform vec2 viewport;
 uniform float width, pixelRatio, lift;
 varying float level, along, across;
 void main() {
-  vec4 a = modelViewMatrix * vec4(start, 1.0), b = modelViewMatrix * vec4(end, 1.0);
+  vec4 a = modelViewMatrix * vec4(position, 1.0), b = modelViewMatrix * vec4(end, 1.0);
   if (projectionMatrix[2][3] < -0.5) {
     float near = -1.0001 * projectionMatrix[3][2] / (projectionMatrix[2][2] - 1.0);
     if (a.z > near && b.z > near) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; }
@@ -85,12 +87,13 @@ void main() {
   vec2 direction = (q.xy / q.w - p.xy / p.w) * scale;
   float size = length(direction);
   direction = size > 1e-6 ? direction / size : vec2(1.0, 0.0);
-  gl_Position = position.y < 0.5 ? p : q;
+  float side = (gl_VertexID & 1) == 0 ? -1.0 : 1.0, share = (gl_VertexID & 2) == 0 ? 0.0 : 1.0;
+  gl_Position = share < 0.5 ? p : q;
   float half_width = 0.5 * (width * pixelRatio + 1.0);
-  gl_Position.xy += vec2(-direction.y, direction.x) * position.x * half_width / scale * gl_Position.w;
+  gl_Position.xy += vec2(-direction.y, direction.x) * side * half_width / scale * gl_Position.w;
   ${kLift}
-  across = position.x * half_width;
-  along = position.y * size / pixelRatio;
+  across = side * half_width;
+  along = share * size / pixelRatio;
   level = value;
 }`;
 
@@ -114,26 +117,29 @@ void main() {
 }`;
 
 function segmentGeometry(capacity, usage) {
-  const geometry = new InstancedBufferGeometry();
-  geometry.setAttribute('position', new BufferAttribute(new Float32Array([-1, 0, 0, 1, 0, 0, -1, 1, 0, 1, 1, 0]), 3));
-  geometry.setIndex([0, 1, 2, 2, 1, 3]);
-  for (const [name, size] of [['start', 3], ['end', 3], ['value', 1]]) {
-    const attribute = new InstancedBufferAttribute(new Float32Array(Math.max(capacity, 1) * size), size);
+  const geometry = new BufferGeometry();
+  for (const [name, size] of [['position', 3], ['end', 3], ['value', 1]]) {
+    const attribute = new BufferAttribute(new Float32Array(4 * Math.max(capacity, 1) * size), size);
     if (usage) attribute.setUsage(usage);
     geometry.setAttribute(name, attribute);
   }
-  geometry.instanceCount = 0;
+  const index = new Uint32Array(6 * capacity);
+  for (let i = 0; i < capacity; i++) [0, 1, 2, 2, 1, 3].forEach((corner, k) => { index[6 * i + k] = 4 * i + corner; });
+  geometry.setIndex(new BufferAttribute(index, 1));
+  geometry.setDrawRange(0, 0);
   return geometry;
 }
 
 // `list`: [start, end, value] each, in the order in which they appear; start, end: [x, y, z].
 export function segments(list, {width, lift = 0, opacity = 1, order = 0, dashBelow = -9, scale, capacity = 0}) {
   const geometry = segmentGeometry(Math.max(list.length, capacity), capacity ? DynamicDrawUsage : null);
-  const {start, end, value} = geometry.attributes;
+  const {position, end, value} = geometry.attributes;
   const write = (items) => items.forEach(([a, b, v], i) => {
-    start.array.set(a, 3 * i);
-    end.array.set(b, 3 * i);
-    value.array[i] = v;
+    for (let k = 4 * i; k < 4 * i + 4; k++) {
+      position.array.set(a, 3 * k);
+      end.array.set(b, 3 * k);
+      value.array[k] = v;
+    }
   });
   write(list);
   const uniforms = {width: {value: width}, lift: {value: lift}, opacity: {value: opacity}, dash_below: {value: dashBelow},
@@ -142,15 +148,15 @@ export function segments(list, {width, lift = 0, opacity = 1, order = 0, dashBel
     {side: DoubleSide, depthWrite: false})), order);
   object.visible = false;
   const show = (count) => {
-    geometry.instanceCount = count;
+    geometry.setDrawRange(0, 6 * count);
     object.visible = count > 0;
   };
   // Only what changed is sent.
   const replace = (items) => {
     write(items);
-    for (const attribute of [start, end, value]) {
+    for (const attribute of [position, end, value]) {
       attribute.clearUpdateRanges();
-      attribute.addUpdateRange(0, items.length * attribute.itemSize);
+      attribute.addUpdateRange(0, 4 * items.length * attribute.itemSize);
       attribute.needsUpdate = items.length > 0;
     }
     show(items.length);

@@ -9,14 +9,16 @@ import {kLayers, halfAxes, MapScene} from './scene3d.js';
 import {Plots} from './plots.js';
 import {showFigures, showTables} from './tables.js';
 import {kKeys, Timeline} from './timeline.js';
-import {niceLength, View} from './view.js';
+import {View} from './view.js';
 
 const $ = (id) => document.getElementById(id);
+
+const kMagnifications = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 
 const kLayerWords = {
   kept: ['kept', 'poses of the map'], dropped: ['dropped', 'poses left out, recovered from the kept ones around them'],
   odometry: ['odometry', 'edges along the way; over dropped poses one edge'], links: ['links', 'edges beside the odometry, coloured by gain'],
-  truth: ['ground truth', 'laid over the estimate'], candidates: ['candidates', 'kept poses considered for a link at this step; solid: accepted'],
+  truth: ['truth', 'ground truth, laid over the estimate'], candidates: ['candidates', 'kept poses considered for a link at this step; solid: accepted'],
   ellipsoids: ['ellipsoids', '95 % of the position, of the poses chosen below'],
 };
 const kWithoutLayer = {
@@ -102,14 +104,14 @@ class Page {
   label(position) {
     const {pace, count, mode, indices} = this.alignment;
     const step = `${integer(position + 1)}\u202f/\u202f${integer(count)}`;
-    if (this.several && mode === 'share') return `${number((100 * (position + 1)) / count, 3)}\u202f%`;
+    if (this.several && mode === 'share') return [`${number((100 * (position + 1)) / count, 3)}\u202f%`, ' of the run'];
     const k = indices[this.runs.indexOf(pace)][position];
-    return `step ${step} · pose ${pace.id[k] ?? '–'}`;
+    return [`step ${step}`, ` · pose ${pace.id[k] ?? '–'}`];
   }
 
   alignmentChoice() {
     const choice = element('select', {'aria-label': 'How the runs are aligned', title: 'How the runs are aligned'},
-      [['id', 'by pose id'], ['share', 'by share of the run']].map(([mode, label]) => element('option', {value: mode, selected: this.alignment.mode === mode}, label)));
+      [['id', 'by pose id'], ['share', 'by share']].map(([mode, label]) => element('option', {value: mode, selected: this.alignment.mode === mode}, label)));
     choice.addEventListener('change', () => {
       this.alignment = align(this.runs, choice.value);
       this.timeline.events = [...new Set(this.runs.flatMap((run, r) => this.positionsOfLinks(run, r)))].sort((a, b) => a - b);
@@ -140,7 +142,6 @@ class Page {
     }
     this.view.onLayout = (panes) => this.layout(panes);
     this.layout(this.view.panes());
-    $('grid-note').textContent = `grid ${number(this.view.gridStep)} m`;
     for (const [id, mode] of [['view-3d', '3d'], ['view-top', 'top']]) $(id).addEventListener('click', () => this.setMode(mode));
     this.setMode(flat ? 'top' : '3d');
     const actions = {left: () => this.view.turn(-0.3, 0), right: () => this.view.turn(0.3, 0), in: () => this.view.zoom(1.3), out: () => this.view.zoom(1 / 1.3), fit: () => this.view.fit()};
@@ -152,6 +153,9 @@ class Page {
 
   setMode(mode) {
     this.view.setMode(mode);
+    const {north, axis} = this.view.vertical;
+    const right = [0, 1, 2].find((k) => k !== axis && !north[k]);
+    $('grid-note').textContent = `grid ${number(this.view.gridStep)} m${mode === 'top' ? ` · ${'xyz'[right]} →  ${'xyz'[north.indexOf(1)]} ↑` : ''}`;
     $('view-3d').setAttribute('aria-pressed', mode === '3d');
     $('view-top').setAttribute('aria-pressed', mode === 'top');
   }
@@ -199,22 +203,23 @@ class Page {
     }
     const most = Math.max(...this.runs.map((run) => run.covariances.pose.length));
     this.every = element('input', {type: 'number', id: 'every', min: 0, max: most, value: Math.max(1, Math.ceil(most / 40)), oninput: () => this.showEllipsoids()});
-    this.magnify = element('input', {type: 'range', id: 'magnify', min: 0, max: 9, step: 1, value: this.firstMagnification(), oninput: () => this.showEllipsoids(), 'aria-label': 'Size of ellipsoids'});
+    this.magnify = element('input', {type: 'range', id: 'magnify', min: 0, max: kMagnifications.length - 1, step: 1, value: this.firstMagnification(), oninput: () => this.showEllipsoids(), 'aria-label': 'Size of ellipsoids'});
     this.magnifyText = element('output', {for: 'magnify'});
     this.ids = element('input', {type: 'text', id: 'ids', inputmode: 'numeric', placeholder: 'click poses, or ids', onchange: () => this.readIds(), 'aria-label': 'Ids of poses chosen'});
     node.append(element('label', {}, 'of every ', this.every, ' th kept pose'), element('label', {}, 'drawn ', this.magnify, ' ', this.magnifyText), element('label', {}, 'and of poses ', this.ids));
     this.showEllipsoids();
   }
 
-  magnification() { return [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000][Number(this.magnify.value)]; }
+  magnification() { return kMagnifications[Number(this.magnify.value)]; }
 
-  // Where ellipsoids would be too small to see, they are drawn larger.
+  // True to scale, unless ellipsoids would then be too small to see or hide the map.
   firstMagnification() {
-    const sizes = this.runs.flatMap((run) => run.covariances.position.map((c) => Math.sqrt(Math.max(c[0], c[3], c[5]))));
+    const sizes = this.runs.flatMap((run) => run.covariances.position.map((c) => 2.8 * Math.sqrt(Math.max(c[0], c[3], c[5]))));
     sizes.sort((a, b) => a - b);
-    const size = 2.8 * (sizes[Math.floor(0.8 * sizes.length)] ?? 1);
-    const wanted = (0.02 * this.extent) / Math.max(size, 1e-12);
-    return wanted <= 1 ? 0 : Math.min(Math.max([1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].findIndex((x) => x >= niceLength(wanted)), 0), 9);
+    const size = Math.max(sizes[Math.floor(0.8 * sizes.length)] ?? 1, 1e-12);
+    const [least, most] = [0.008 * this.extent, 0.06 * this.extent];
+    const wanted = size < least ? least / size : size > most ? most / size : 1;
+    return kMagnifications.indexOf(kMagnifications.reduce((best, x) => (Math.abs(Math.log(x / wanted)) < Math.abs(Math.log(best / wanted)) ? x : best)));
   }
 
   readIds() {
@@ -227,7 +232,7 @@ class Page {
   showEllipsoids() {
     if (!this.every) return;
     const every = Math.max(0, Math.floor(Number(this.every.value) || 0));
-    this.magnifyText.textContent = this.magnification() === 1 ? 'true to scale' : `× ${integer(this.magnification())}`;
+    this.magnifyText.textContent = this.magnification() === 1 ? 'true to scale' : `× ${number(this.magnification())}`;
     this.maps.forEach((map, r) => map.setEllipsoids(every, this.chosen[r], this.magnification()));
     this.view?.request();
   }

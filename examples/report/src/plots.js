@@ -49,6 +49,13 @@ function lastKnown(values) {
   return Int32Array.from(values, (x, i) => (x == null ? last : (last = i)));
 }
 
+// Not more than five of them.
+function powersOfTen(u, axis, low, high) {
+  const from = Math.ceil(Math.log10(low) - 1e-9), to = Math.floor(Math.log10(high) + 1e-9);
+  const stride = Math.ceil((to - from + 1) / 5);
+  return Array.from({length: Math.floor((to - from) / stride) + 1}, (_, i) => 10 ** (from + i * stride));
+}
+
 export class Plots {
   constructor(node, runs, onStep) {
     Object.assign(this, {node, runs, onStep, plots: [], position: 0});
@@ -89,7 +96,9 @@ export class Plots {
         style: `--c:${one.colour}`}), one.label, ' ', value));
       return {node: value, last: lastKnown(one.values), one};
     });
-    const thresholds = versions.map(({threshold}, r) => ({value: threshold, run: r})).filter(({value}) => isNumber(value) && value > 0)
+    // Of runs that have something to hold against them; once where they are the same.
+    const thresholds = versions.map(({threshold}, r) => ({value: threshold, colour: cssVariable(several ? `--run-${r % 4}` : '--threshold'), run: r}))
+      .filter(({value, run}) => isNumber(value) && value > 0 && series.some((one) => one.run === run))
       .filter((t, i, all) => all.findIndex((other) => other.value === t.value) === i);
     return {box, area, values, format, options: this.optionsFor(chart, series, thresholds), data: [Array.from({length: this.alignment.count}, (_, k) => k), ...series.map(({values: v}) => v)]};
   }
@@ -100,12 +109,12 @@ export class Plots {
     const format = chart.format ?? ((x) => number(x, 3));
     const few = series[0].values.length <= 400;
     const drawThresholds = (u) => {
-      for (const {value} of thresholds) {
+      for (const {value, colour} of thresholds) {
         const y = u.valToPos(value, 'y', true);
         const {ctx, bbox} = u;
         if (y < bbox.top || y > bbox.top + bbox.height) continue;
         ctx.save();
-        ctx.strokeStyle = cssVariable('--threshold');
+        ctx.strokeStyle = colour;
         ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
         ctx.lineWidth = 1.4 * devicePixelRatio;
         ctx.beginPath();
@@ -128,7 +137,7 @@ export class Plots {
       cursor: {y: false, drag: {x: false, y: false, setScale: false}, points: {size: 6}},
       scales: {x: {time: false, range: [0, Math.max(this.alignment.count - 1, 1)]}, y: chart.log ? {distr: 3} : {range}},
       axes: [{...axis, size: 26, space: 60, values: (u, list) => list.map((x) => (Number.isInteger(x) ? number(x) : ''))},
-        {...axis, size: 56, space: 28, values: (u, list) => list.map((x) => (x == null ? '' : format(x)))}],
+        {...axis, size: 56, space: 28, ...(chart.log ? {splits: powersOfTen, filter: (u, list) => list} : {}), values: (u, list) => list.map((x) => (x == null ? '' : format(x)))}],
       series: [{}, ...series.map((one) => ({
         label: one.label, stroke: one.colour, width: 1.5, dash: one.dash ? [5, 4] : undefined, spanGaps: true,
         ...(one.dots ? {paths: () => null, points: {show: true, size: few ? 5 : 3, width: 1, stroke: one.colour, fill: one.hollow ? 'transparent' : one.colour}}

@@ -37,10 +37,10 @@ export class MapScene {
     };
     const level = (i) => (isNumber(run.links.gain[i]) ? scale?.at(run.links.gain[i]) ?? -1 : -1);
     this.layers = {
-      truth: add(segments(this.path('truth', run.truth), {width: 1.6, order: 1, lift: -1})),
+      truth: add(segments(this.path('truth', run.truth), {width: many ? 1 : 1.4, order: 1, lift: -1, opacity: 0.85})),
       odometry: add(segments(this.pairs('odometry', run.chain, 'to', () => -1), {width: many ? 1.1 : 1.5, order: 2})),
       links: add(segments(this.pairs('links', run.links, 'step', level),
-        {width: manyLinks ? 1 : 1.6, order: 3, opacity: manyLinks ? 0.6 : 0.9})),
+        {width: manyLinks ? 1 : run.links.from.length > 500 ? 1.5 : 2.4, order: 3, opacity: manyLinks ? 0.6 : 0.9})),
       dropped: add(dots(this.points('dropped', (i) => !run.kept[i]), {size: many ? 3.2 : 5, stroke: many ? 0 : 1.2, order: 4})),
       kept: add(dots(this.points('kept', (i) => run.kept[i]), {size: many ? 4 : 7, order: 5, lift: 2})),
     };
@@ -165,6 +165,16 @@ export class MapScene {
     this.ellipsoidColour.value.set(...rgbVariable('--ellipsoid'));
     const [refused, accepted] = [rgbVariable('--muted'), rgbVariable('--current')];
     this.candidateColours.value = Array.from({length: kRampSize}, (_, i) => (i < kRampSize / 2 ? refused : accepted)).flat();
+  }
+
+  // Some of the positions, all over the run.
+  sample(most = 2000) {
+    const stride = Math.max(1, Math.ceil(this.run.n / most)), list = [];
+    for (let i = 0; i < this.run.n; i += stride) {
+      const p = this.point(this.run.position, i);
+      if (p.every(isNumber)) list.push(p);
+    }
+    return list;
   }
 
   // The pose nearest to a place on the screen among those there; `project` maps a point to [x, y] or null.

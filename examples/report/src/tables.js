@@ -53,10 +53,10 @@ function ratio(values) {
 // rows: [key, label, note, [value of each run], formatter]
 function table(runs, caption, rows) {
   const several = runs.length > 1;
-  const head = several && element('thead', {}, element('tr', {}, element('th', {scope: 'col'}, element('span', {class: 'sr-only'}, 'quantity')),
+  const head = several && element('thead', {}, element('tr', {}, element('th', {scope: 'col', class: 'caption'}, caption || element('span', {class: 'sr-only'}, 'quantity')),
     runs.map((run, r) => element('th', {scope: 'col'}, element('i', {class: 'swatch swatch-dot', style: `--c:var(--run-${r % 4})`}), run.name)),
     runs.length === 2 && element('th', {scope: 'col', title: `${runs[1].name} over ${runs[0].name}`}, 'ratio')));
-  return element('table', {class: 'numbers'}, caption && element('caption', {}, caption), head,
+  return element('table', {class: 'numbers'}, !several && caption && element('caption', {}, caption), head,
     element('tbody', {}, rows.map(([key, label, note, values, text]) => element('tr', {},
       element('th', {scope: 'row'}, label, note ? element('span', {class: 'note'}, note) : ''),
       values.map((value, r) => cell(key, value, text(value, r))),
@@ -115,7 +115,7 @@ export function showFigures(node, runs) {
     ['Registrations', (run) => [isNumber(run.stats.registrations_tried) ? integer(run.stats.registrations_tried) : isNumber(run.stats.compared) ? integer(run.stats.compared) : '–', 'tried']],
     ['Error (ATE)', (run) => {
       const ate = lastNumber(run.steps.ate_m) ?? run.stats.errors?.ate_m;
-      return isNumber(ate) ? [`${number(ate, 3)} m`, 'root mean square'] : ['–', run.truth ? 'not recorded' : 'no ground truth'];
+      return isNumber(ate) ? [`${number(ate, 3)} m`, 'RMS'] : ['–', run.truth ? 'not recorded' : 'no ground truth'];
     }],
     ['χ² per scalar', (run) => [number(run.stats.normalized_chi2, 3), run.stats.converged === false ? 'not converged' : run.stats.converged ? 'converged' : '']],
     ['Median step', (run) => [seconds(run.stats.step_seconds?.median), isNumber(run.stats.seconds?.total) ? `${seconds(run.stats.seconds.total)} in all` : '']],

@@ -14,8 +14,8 @@ export const kKeys = [
 export class Timeline {
   // `events`: ascending positions at which a link is accepted. `onStep(position)` is called when the position changes.
   constructor(node, count, events, onStep) {
-    Object.assign(this, {count, events, onStep, position: count - 1, playing: false, label: () => ''});
-    const button = (name, label, action) => element('button', {type: 'button', class: 'icon-button', 'aria-label': label, title: label, onclick: action}, icon(kIcons[name]));
+    Object.assign(this, {count, events, onStep, position: count - 1, playing: false, label: () => ['', '']});
+    const button = (name, label, action) => element('button', {type: 'button', class: 'icon-button', 'data-button': name, 'aria-label': label, title: label, onclick: action}, icon(kIcons[name]));
     this.playButton = button('play', 'Play', () => this.toggle());
     this.playButton.classList.add('play');
     this.slider = element('input', {type: 'range', id: 'slider', min: 0, max: count - 1, step: 1, value: count - 1, 'aria-label': 'Step of the run',
@@ -40,9 +40,9 @@ export class Timeline {
   refresh() {
     this.slider.value = this.position;
     this.slider.style.setProperty('--share', `${this.count > 1 ? (100 * this.position) / (this.count - 1) : 100}%`);
-    const text = this.label(this.position);
-    this.readout.textContent = text;
-    this.slider.setAttribute('aria-valuetext', text);
+    const [text, more] = this.label(this.position);
+    this.readout.replaceChildren(text, element('span', {class: 'readout-more'}, more));
+    this.slider.setAttribute('aria-valuetext', text + more);
   }
 
   set(position) {

@@ -7,7 +7,7 @@ import {ramp, rgbVariable} from './colour.js';
 import {segments, shared} from './layers.js';
 
 const kFieldOfView = 38;  // degrees, vertical
-const kElevation = 0.62, kAzimuth = -0.9;  // radians, of the first view
+const kElevation = 0.65, kAzimuth = 0.4;  // radians, of the first view; from the longer side
 
 // A length of 1, 2 or 5 times a power of ten, not above x.
 export function niceLength(x) {
@@ -19,7 +19,9 @@ export class View {
   // `maps`: MapScene of each run; `box` around them, less the centre; `vertical` as of verticalAxis.
   constructor(canvas, maps, box, vertical, onPick, onHover) {
     Object.assign(this, {canvas, maps, box, vertical, onPick, onHover});
-    this.renderer = new WebGLRenderer({canvas, antialias: true, powerPreference: 'high-performance'});
+    // Dots and segments have soft edges of their own; the rest gets them where there is little to draw.
+    const little = maps.reduce((sum, {run}) => sum + run.n + run.links.from.length, 0) < 8000;
+    this.renderer = new WebGLRenderer({canvas, antialias: little, powerPreference: 'high-performance'});
     this.renderer.setScissorTest(true);
     this.renderer.autoClear = false;
     this.renderer.info.autoReset = false;
@@ -114,48 +116,59 @@ export class View {
     this.request();
   }
 
-  // The whole map in the picture, from the first direction.
+  // The whole map in the picture, from the first direction, clear of the labels above and the legend below it.
   fit() {
+    const points = this.maps.flatMap((map) => map.sample()).map((p) => new Vector3(...p));
     const {width, height} = this.panes()[0];
-    const east = new Vector3().crossVectors(this.north, this.up);
-    const flat = this.north.clone().multiplyScalar(-Math.cos(kAzimuth)).addScaledVector(east, -Math.sin(kAzimuth));
-    const direction = flat.multiplyScalar(Math.cos(kElevation)).addScaledVector(this.up, Math.sin(kElevation)).normalize();
-    const camera = this.cameras['3d'];
-    camera.aspect = width / height;
-    const distance = this.fitDistance(direction, camera.aspect);
-    camera.position.copy(direction).multiplyScalar(distance);
-    Object.assign(camera, {near: distance / 500, far: distance + 60 * this.radius});
-    this.controls['3d'].minDistance = 0.005 * this.radius;
-    this.controls['3d'].maxDistance = 20 * this.radius;
-
-    const right = new Vector3().crossVectors(this.up.clone().negate(), this.north);
-    const half = (axis) => this.corners().reduce((most, p) => Math.max(most, Math.abs(p.dot(axis))), 1e-3);
-    this.topHalfHeight = 1.1 * Math.max(half(this.north), (half(right) * height) / width);
-    const top = this.cameras.top;
-    top.zoom = 1;
-    top.position.copy(this.up).multiplyScalar(4 * this.radius);
-    Object.assign(top, {near: 0, far: 8 * this.radius});
+    const inset = {top: this.maps.length > 1 ? 34 : 16, bottom: 62, side: 18};
+    const share = {x: 1 - (2 * inset.side) / width, y: 1 - (inset.top + inset.bottom) / height, up: (inset.bottom - inset.top) / height};
+    this.fitPerspective(points, width / height, share);
+    this.fitTop(points, width / height, share);
     this.setAspect();
-    for (const controls of Object.values(this.controls)) {
-      controls.target.set(0, 0, 0);
-      controls.update();
-    }
+    for (const controls of Object.values(this.controls)) controls.update();
     this.request();
   }
 
-  corners() {
-    const {min, max} = this.box;
-    return Array.from({length: 8}, (_, i) => new Vector3(i & 1 ? max[0] : min[0], i & 2 ? max[1] : min[1], i & 4 ? max[2] : min[2]));
-  }
-
-  // How far away, looking at the centre from `direction`, the box just fills the picture.
-  fitDistance(direction, aspect) {
+  fitPerspective(points, aspect, share) {
+    const east = new Vector3().crossVectors(this.north, this.up);
+    const size = (axis) => Math.abs(axis.dot(new Vector3(...this.box.max)) - axis.dot(new Vector3(...this.box.min)));
+    const azimuth = size(east) >= size(this.north) ? kAzimuth : 0.5 * Math.PI - kAzimuth;
+    const flat = this.north.clone().multiplyScalar(-Math.cos(azimuth)).addScaledVector(east, Math.sin(azimuth));
+    const direction = flat.multiplyScalar(Math.cos(kElevation)).addScaledVector(this.up, Math.sin(kElevation)).normalize();
     const right = new Vector3().crossVectors(this.up, direction).normalize();
     const above = new Vector3().crossVectors(direction, right);
     const tangent = Math.tan((kFieldOfView * Math.PI) / 360);
-    const needed = this.corners().map((p) => p.dot(direction)
-      + Math.max(Math.abs(p.dot(above)) / tangent, Math.abs(p.dot(right)) / (tangent * aspect)));
-    return Math.max(1.06 * Math.max(...needed), 0.1 * this.radius);
+    const target = new Vector3();
+    let distance = 0.1 * this.radius;
+    for (let pass = 0; pass < 6; pass++) {  // as far as needed, then the middle of what is seen to the middle of the picture
+      distance = points.reduce((most, p) => {
+        const at = p.clone().sub(target);
+        return Math.max(most, at.dot(direction) + Math.max(Math.abs(at.dot(above)) / (tangent * share.y), Math.abs(at.dot(right)) / (tangent * aspect * share.x)));
+      }, 0.1 * this.radius);
+      for (const axis of [right, above]) {
+        const seen = points.map((p) => p.clone().sub(target)).map((at) => at.dot(axis) / (distance - at.dot(direction)));
+        if (seen.length) target.addScaledVector(axis, 0.5 * distance * (Math.max(...seen) + Math.min(...seen)));
+      }
+    }
+    target.addScaledVector(above, -share.up * distance * tangent);
+    const camera = this.cameras['3d'], controls = this.controls['3d'];
+    controls.target.copy(target);
+    controls.minDistance = 0.005 * this.radius;
+    controls.maxDistance = 20 * this.radius;
+    camera.position.copy(target).addScaledVector(direction, distance);
+    Object.assign(camera, {near: distance / 500, far: distance + 60 * this.radius});
+  }
+
+  fitTop(points, aspect, share) {
+    const right = new Vector3().crossVectors(this.up.clone().negate(), this.north);
+    const half = (axis) => points.reduce((most, p) => Math.max(most, Math.abs(p.dot(axis))), 1e-3);
+    this.topHalfHeight = Math.max(half(this.north) / share.y, half(right) / (aspect * share.x));
+    const {target} = this.controls.top;
+    target.copy(this.north).multiplyScalar(-share.up * this.topHalfHeight);
+    const top = this.cameras.top;
+    top.zoom = 1;
+    top.position.copy(target).addScaledVector(this.up, 4 * this.radius);
+    Object.assign(top, {near: 0, far: 8 * this.radius});
   }
 
   zoom(factor) {
@@ -267,6 +280,7 @@ export class View {
       renderer.setViewport(pane.x, y, pane.width, pane.height);
       renderer.setScissor(pane.x, y, pane.width, pane.height);
       shared.viewport.value.set(pane.width, pane.height);
+      shared.dotScale.value = Math.min(Math.max(Math.sqrt(pane.width / 700), 0.65), 1);
       renderer.state.buffers.depth.setMask(true);
       // Not by three, which would take the colour as linear: what the shaders write is sRGB already.
       gl.clearColor(r, g, b, 1);

@@ -1,0 +1,263 @@
+// The suite: what the page shows of generated data.
+
+import assert from 'node:assert/strict';
+import {execFileSync} from 'node:child_process';
+import {readFileSync, statSync, writeFileSync} from 'node:fs';
+import {join} from 'node:path';
+
+import {open, picture, slide, steps} from './browser.mjs';
+import {fitsWidth, noProblems, numbersEqual, sliderChangesPicture} from './checks.mjs';
+import {fill, makeBareRun, makeHolesRun, makeRun, report} from './generate.mjs';
+
+const kMostBytes = 900e3;  // of the page without data
+const kSmall = {width: 700, height: 560};  // software GL is slow
+
+async function withPage(test, data, options, act) {
+  const path = join(test.scratch, 'report.html');
+  writeFileSync(path, typeof data === 'string' ? data : fill(readFileSync(test.page, 'utf8'), data));
+  const page = await open(test.browser, path, options);
+  try {
+    const note = await act(page);
+    noProblems(page);
+    return note;
+  } finally {
+    await page.context().close();
+  }
+}
+
+const text = (page, selector) => page.locator(selector).innerText();
+
+function rebuilt({page, sources, scratch}) {
+  const made = join(scratch, 'rebuilt.html');
+  execFileSync(process.execPath, [join(sources, 'build.mjs'), made]);
+  assert.ok(readFileSync(made).equals(readFileSync(page)), 'the committed page is not what its sources make: run `make report-page` and commit');
+  const {size} = statSync(page);
+  assert.ok(size < kMostBytes, `the page has ${size} bytes`);
+  return `${(size / 1000).toFixed(0)} kB`;
+}
+
+const single = (test) => withPage(test, report(makeRun({name: 'ring'})), kSmall, async (page) => {
+  const run = makeRun({name: 'ring'});
+  const compared = await numbersEqual(page, [run.stats]);
+  await numbersEqual(page, [{thresholds: run.thresholds}]);
+  await sliderChangesPicture(page);
+  assert.match(await page.title(), /^ring: 40.\/.120 poses, 40 links/);
+  assert.match(await text(page, '#subtitle'), /keeps 40 of 120 poses and 40 of 120 links/);
+  assert.equal(await page.locator('#plots .uplot').count(), 8);
+  return `${compared} numbers`;
+});
+
+// At a step the panel tells that step's decision, and the map holds what there was then.
+const decisions = (test) => withPage(test, report(makeRun()), kSmall, async (page) => {
+  const run = makeRun();
+  const at = run.links.step[10];
+  await slide(page, at);
+  const panel = await text(page, '#decisions');
+  assert.match(panel, new RegExp(`pose ${run.poses.id[at]}\\b`));
+  assert.match(panel, /kept\s*a loop closes/);
+  assert.equal(await page.locator('#decisions tbody tr').count(), run.decisions.candidates[at].length);
+  assert.equal(await page.locator('#decisions tbody tr.accepted').count(), run.decisions.accepted[at]);
+  assert.match(await text(page, '#layers'), new RegExp(`kept\\s+${run.steps.poses[at]}\\b[^]*links\\s+${run.steps.links[at]}\\b`));
+  const shown = await page.evaluate(() => Object.fromEntries(Object.entries(window.terseReport.maps[0].layers).map(([name, {object}]) =>
+    [name, object.geometry.drawRange.count / (object.isPoints ? 1 : 6)])));
+  assert.equal(shown.kept, run.steps.poses[at]);
+  assert.equal(shown.dropped, at + 1 - run.steps.poses[at]);
+  assert.equal(shown.links, run.steps.links[at]);
+  assert.equal(shown.odometry, run.steps.poses[at] - 1);
+  const dropped = run.poses.kept.indexOf(0, at);
+  await slide(page, dropped);
+  assert.match(await text(page, '#decisions'), /dropped\s*redundant[^]*would bring only[^]*not more than the threshold of 5.4 nats/);
+});
+
+const keyboard = (test) => withPage(test, report(makeRun()), kSmall, async (page) => {
+  const position = () => page.evaluate(() => Number(document.getElementById('slider').value));
+  const pressed = (id) => page.locator(id).getAttribute('aria-pressed');
+  await page.keyboard.press('Home');
+  assert.equal(await position(), 0);
+  await page.keyboard.press('ArrowRight');
+  assert.equal(await position(), 1);
+  await page.keyboard.press('Shift+ArrowRight');
+  assert.equal(await position(), 11);
+  await page.keyboard.press('n');
+  assert.equal(await position(), makeRun().links.step.find((step) => step > 11));
+  await page.keyboard.press('Home');
+  await page.keyboard.press('Space');
+  await page.waitForFunction(() => Number(document.getElementById('slider').value) > 2);
+  await page.keyboard.press('Space');
+  const stopped = await position();
+  await page.waitForTimeout(200);
+  assert.equal(await position(), stopped);
+  assert.equal(await pressed('#view-3d'), 'true');
+  const before = (await picture(page))[0].hash;
+  await page.keyboard.press('v');
+  assert.equal(await pressed('#view-top'), 'true');
+  assert.notEqual((await picture(page))[0].hash, before);
+  await page.locator('#canvas').focus();
+  const still = await position(), top = (await picture(page))[0].hash;
+  await page.keyboard.press('ArrowRight');
+  assert.equal(await position(), still, 'in the map the arrow keys move the map');
+  assert.notEqual((await picture(page))[0].hash, top);
+});
+
+// A click on a pose chooses it, and its ellipsoid is drawn.
+const choosing = (test) => withPage(test, report(makeRun()), kSmall, async (page) => {
+  await page.locator('#every').fill('0');
+  const without = (await picture(page))[0].hash;
+  const at = await page.evaluate(() => {
+    const {view, maps} = window.terseReport;
+    const rect = view.canvas.getBoundingClientRect();
+    view.camera.updateMatrixWorld();
+    const [x, y, z] = maps[0].point(maps[0].run.position, 60);
+    const p = view.camera.position.clone().set(x, y, z).project(view.camera);
+    return [rect.left + (0.5 + 0.5 * p.x) * rect.width, rect.top + (0.5 - 0.5 * p.y) * rect.height];
+  });
+  await page.mouse.click(...at);
+  assert.equal(await page.locator('#ids').inputValue(), '120');
+  assert.match(await text(page, '.chosen'), /Pose 120 · kept[^]*95 % half axes/);
+  const chosen = (await picture(page))[0].hash;
+  assert.notEqual(chosen, without);
+  await page.evaluate(() => {
+    const size = document.getElementById('magnify');
+    size.value = Number(size.value) + 2;
+    size.dispatchEvent(new Event('input'));
+  });
+  assert.notEqual((await picture(page))[0].hash, chosen);
+});
+
+const comparison = (test) => {
+  const runs = [makeRun({name: 'all', keepEvery: 1, links: 90, strategy: 'apal'}), makeRun({name: 'few', seed: 2})];
+  return withPage(test, report(...runs), kSmall, async (page) => {
+    await numbersEqual(page, runs.map(({stats}) => stats));
+    await sliderChangesPicture(page);
+    assert.equal((await picture(page)).length, 2);
+    assert.equal(await page.locator('.decision').count(), 2);
+    assert.equal(await page.locator('tr:has([data-key="poses_kept"]) .ratio').innerText(), '× 0.333');
+    const before = await picture(page);
+    await page.evaluate(() => window.terseReport.view.turn(0.4, 0.1));  // both turn
+    (await picture(page)).forEach((pane, run) => assert.notEqual(pane.hash, before[run].hash));
+  });
+};
+
+// Runs of different ids go by share of the run: at the end both are at their end.
+const byShare = (test) => {
+  const runs = [makeRun({name: 'long', poses: 200}), makeRun({name: 'short', poses: 80})];
+  runs[1].poses.id = runs[1].poses.id.map((id) => id + 100000);
+  return withPage(test, report(...runs), kSmall, async (page) => {
+    const last = await page.evaluate(() => window.terseReport.alignment.indices.map((list) => list[list.length - 1]));
+    assert.deepEqual(last, [199, 79]);
+    assert.match(await text(page, '.readout'), /100.%/);
+    await slide(page, 100);
+    assert.deepEqual(await page.evaluate(() => window.terseReport.maps.map((map) => map.step)), [100, 40]);
+  });
+};
+
+const flat = (test) => withPage(test, report(makeRun({dimension: 2})), kSmall, async (page) => {
+  assert.equal(await page.locator('#view-top').getAttribute('aria-pressed'), 'true');
+  await sliderChangesPicture(page);
+});
+
+const cameraCoordinates = (test) => withPage(test, report(makeRun({down: 'y'})), kSmall, async (page) => {
+  assert.deepEqual(await page.evaluate(() => window.terseReport.view.vertical.up), [0, -1, 0]);
+  await page.keyboard.press('v');
+  assert.match(await text(page, '#grid-note'), /x →\s+z ↑/);
+});
+
+const bare = (test) => withPage(test, report(makeBareRun()), kSmall, async (page) => {
+  assert.match(await text(page, '#layers'), /no ground truth given: pass --ground-truth/);
+  assert.match(await text(page, '[data-plot="ate"]'), /No ground truth given/);
+  assert.match(await text(page, '#ellipsoids'), /No covariances/);
+  assert.match(await text(page, '#decisions'), /candidates of the steps are not known/);
+  await sliderChangesPicture(page);
+});
+
+const holes = (test) => withPage(test, report(makeHolesRun()), kSmall, async (page) => {
+  await numbersEqual(page, [makeHolesRun().stats]);
+  await sliderChangesPicture(page);
+  for (let k = 0; k < await steps(page); k += 7) await slide(page, k);
+});
+
+const tiny = (test) => withPage(test, report(makeRun({name: 'one', poses: 1, links: 0}), makeRun({name: 'two', poses: 2, links: 0})), kSmall, async (page) => {
+  await page.keyboard.press('Space');
+  await picture(page);
+});
+
+const names = (test) => {
+  const name = '</script><img src=x onerror=alert(1)> & "quoted" <!--';
+  const run = makeRun({name, poses: 30, links: 5});
+  run.stats.termination = '<b>not bold</b>';
+  return withPage(test, report(run), kSmall, async (page) => {
+    assert.equal(await text(page, '#title'), name);
+    assert.equal(await page.locator('img, #tables b').count(), 0);
+    await numbersEqual(page, [run.stats]);
+  });
+};
+
+const themes = (test) => withPage(test, report(makeRun()), {...kSmall, colorScheme: 'dark'}, async (page) => {
+  const brightness = async () => {
+    const [{background}] = await picture(page);
+    const [r, g, b] = (await page.evaluate(() => getComputedStyle(document.body).backgroundColor)).match(/\d+/g).map(Number);
+    return [background & 255, (r + g + b) / 3];
+  };
+  for (const value of await brightness()) assert.ok(value < 60, 'dark where the system is dark');
+  await page.locator('#theme').click();
+  for (const value of await brightness()) assert.ok(value > 200, 'light after the button');
+  await page.reload();
+  for (const value of await brightness()) assert.ok(value > 200, 'remembered');
+});
+
+const phone = async (test) => {
+  const long = makeRun({name: 'a_rather_long_name_of_a_run_without_any_spaces_in_it_fpfl'});
+  for (const runs of [[long], [long, makeRun({name: 'few', seed: 2})]]) {
+    await withPage(test, report(...runs), {width: 375, height: 812}, async (page) => {
+      await fitsWidth(page);
+      await sliderChangesPicture(page);
+    });
+  }
+};
+
+const withoutData = async (test) => {
+  const page = readFileSync(test.page, 'utf8');
+  await withPage(test, page, kSmall, async (opened) => assert.match(await text(opened, '#main'), /holds no data yet/));
+  await withPage(test, fill(page, {format: 'terse-report-9', runs: []}), kSmall, async (opened) => assert.match(await text(opened, '#main'), /terse-report-9/));
+};
+
+// However large the run, a frame is a few draw calls, and moving the slider sends nothing but the candidates of the step.
+async function large(test, count) {
+  const runs = Array.from({length: count}, (_, i) => makeRun({name: `large ${i}`, poses: 10000, links: 60000, keepEvery: 2, seed: i + 1}));
+  return withPage(test, report(...runs), {width: 480, height: 400}, async (page) => {
+    const measured = await page.evaluate(() => {
+      const {view, timeline} = window.terseReport;
+      const frames = 12;
+      const measure = (change) => {
+        change(0);
+        view.draw();
+        let most = 0, draws = 0, time = 0;
+        for (let i = 1; i <= frames; i++) {
+          Object.assign(window.graphics, {draws: 0, bytes: 0});
+          const start = performance.now();
+          change(i);
+          view.draw();
+          time += performance.now() - start;
+          most = Math.max(most, window.graphics.bytes);
+          draws = Math.max(draws, window.graphics.draws);
+        }
+        return {bytes: most, draws, milliseconds: time / frames};
+      };
+      return {orbit: measure(() => view.turn(0.02, 0)), play: measure((i) => timeline.set(5000 + 37 * i))};
+    });
+    const {orbit, play} = measured;
+    assert.equal(orbit.bytes, 0, 'turning the map sends nothing');
+    assert.ok(orbit.draws <= 16 * count, `${orbit.draws} draw calls in a frame`);
+    assert.ok(play.draws <= 16 * count, `${play.draws} draw calls in a frame`);
+    assert.ok(play.bytes <= 15e3 * count, `${play.bytes} bytes sent in a frame`);
+    return `turning ${orbit.draws} draw calls, ${orbit.milliseconds.toFixed(1)} ms; playing ${play.draws} draw calls, ${play.bytes} bytes, ${play.milliseconds.toFixed(1)} ms of script a frame`;
+  });
+}
+
+export const suite = [
+  ['the page is what its sources make', rebuilt], ['one run', single], ['decisions step by step', decisions], ['keyboard', keyboard],
+  ['choosing a pose', choosing], ['two runs', comparison], ['two runs by share', byShare], ['2D starts from above', flat],
+  ['camera coordinates', cameraCoordinates], ['without truth, covariances, steps', bare], ['holes in the data', holes], ['one pose and two', tiny],
+  ['names with HTML in them', names], ['light and dark', themes], ['a phone', phone], ['without data', withoutData],
+  ['10 000 poses, 60 000 links', (test) => large(test, 1)], ['twice that side by side', (test) => large(test, 2)],
+];
