@@ -189,6 +189,7 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>&
     best->record.accepted = true;
     ++decision.links_accepted;
     best->record.factor = Keep(current, {*link}).back();
+    links_.back().gain = best->record.measured_gain;
     std::vector<int> rest;
     for (const Evaluated& e : candidates) {
       if (e.record.tried) {
@@ -276,7 +277,7 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
   Accumulate(report, current.update);
   UpdateCovariances();
   const std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
-  links_.insert(links_.end(), ids.begin(), ids.end());
+  for (const FactorId id : ids) links_.push_back({id, input.id, std::nullopt});
   current.in_solver = true;
   current.concatenated = false;
   current.T_world_body = solver_->Estimate(input.id);
@@ -417,15 +418,16 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
     update.factors.push_back(carried);
     decision.factor = solver_->Update(update).factor_ids.front();
     UpdateCovariances();
-    links_.push_back(*decision.factor);
+    links_.push_back({*decision.factor, history_.back().id, decision.gain});
   }
   return decision;
 }
 
 template <class Pose>
 void CompactPoseSlam<Pose>::RemoveLink(FactorId id) {
-  const auto it = std::lower_bound(links_.begin(), links_.end(), id);
-  if (it == links_.end() || *it != id) {
+  const auto it = std::lower_bound(links_.begin(), links_.end(), id,
+                                   [](const Link& link, FactorId wanted) { return link.factor < wanted; });
+  if (it == links_.end() || it->factor != id) {
     throw std::invalid_argument("factor " + std::to_string(id.value) + " is not a link of the map");
   }
   GraphUpdate<Pose> update;

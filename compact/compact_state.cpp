@@ -32,7 +32,11 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
          searched_version, searched_base] = *this;
   archive(options);
   if constexpr (Archive::kReads) TakeOptions(options);
-  archive(*solver, *marginals, links, searches);
+  archive(*solver, *marginals, searches);
+  archive.Each(links, [&](Link& link) {
+    auto& [factor, added_at, gain] = link;
+    archive(factor, added_at, gain);
+  });
   archive.Each(history, [&](Seen& seen) {
     auto& [id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next] = seen;
     archive(id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next);
@@ -54,8 +58,9 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
     for (const Refused& link : refused) {
       if (!solver->Graph().HasPose(link.candidate) || !HasSeen(link.seen)) archive.Fail("a link of unknown poses");
     }
-    for (const FactorId link : links) {
-      if (solver->Graph().FindFactor(link) == nullptr) archive.Fail("a link that is not in the map");
+    for (const Link& link : links) {
+      if (solver->Graph().FindFactor(link.factor) == nullptr || !HasSeen(link.added_at))
+        archive.Fail("a link that is not in the map");
     }
   }
 }

@@ -2,12 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numeric>
 #include <random>
 #include <set>
 #include <stdexcept>
-
-#include "terse/core/arrival.h"
+#include <unordered_map>
+#include <unordered_set>
 
 namespace terse {
 namespace {
@@ -20,17 +21,95 @@ constexpr double kMargin = 1.5, kLeastAngle = 1.0;
 
 std::pair<std::int64_t, std::int64_t> Pair(PoseId a, PoseId b) { return std::minmax(a.value, b.value); }
 
+constexpr int kNever = std::numeric_limits<int>::min();  // a rank
+
+// New poses alone, numbered by ascending id from 1, and all that were seen before as pose 0, which comes first. So the
+// order of arrival is that of poses which join a map.
+template <class Pose>
+struct NewPart {
+  PoseGraph<Pose> graph;
+  std::vector<int> poses, factors;  // of the whole graph, by index in this one; -1 for pose 0
+};
+
+template <class Pose>
+void SetPose(Factor<Pose>& prior, PoseId id) {
+  if (auto* pose = std::get_if<PosePriorFactor<Pose>>(&prior)) pose->pose = id;
+  if (auto* position = std::get_if<PositionPriorFactor<Pose>>(&prior)) position->pose = id;
+}
+
+template <class Pose>
+NewPart<Pose> MakeNewPart(const PoseGraph<Pose>& graph, const std::unordered_set<std::int64_t>& seen) {
+  NewPart<Pose> part;
+  std::vector<int> order;
+  for (size_t k = 0; k < graph.Poses().size(); ++k) {
+    if (seen.count(graph.Poses()[k].id.value) == 0) order.push_back(static_cast<int>(k));
+  }
+  std::sort(order.begin(), order.end(),
+            [&](int a, int b) { return graph.Poses()[At(a)].id < graph.Poses()[At(b)].id; });
+  std::unordered_map<std::int64_t, PoseId> number;
+  part.graph.AddPose(PoseId{0});
+  part.poses.push_back(-1);
+  for (const int p : order) {
+    const PoseId id{static_cast<std::int64_t>(part.poses.size())};
+    number[graph.Poses()[At(p)].id.value] = id;
+    part.graph.AddPose(id);
+    part.poses.push_back(p);
+  }
+  const auto numbered = [&](PoseId id) {
+    const auto it = number.find(id.value);
+    return it == number.end() ? PoseId{0} : it->second;
+  };
+  int at = -1;
+  for (const auto& node : graph.Factors()) {
+    ++at;
+    Factor<Pose> factor = node.factor;
+    const FactorPoses ends = PosesOf(factor);
+    const PoseId first = numbered(ends.first), second = ends.count == 2 ? numbered(ends.second) : first;
+    if (first == PoseId{0} && second == PoseId{0}) continue;
+    if (auto* edge = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
+      edge->from = first;
+      edge->to = second;
+    }
+    SetPose(factor, first);
+    part.graph.AddFactor(factor);
+    part.factors.push_back(at);
+  }
+  return part;
+}
+
 }  // namespace
 
 template <class Pose>
 GraphReplay<Pose>::GraphReplay(const PoseGraph<Pose>& graph) {
   if (graph.Poses().empty()) throw std::invalid_argument("the graph is empty");
-  std::vector<int> rank(graph.Poses().size(), -1);
+  Build(graph, ArrivalSteps(graph, ArrivalUnit::kPose), std::vector<int>(graph.Poses().size(), kNever));
+}
+
+template <class Pose>
+GraphReplay<Pose>::GraphReplay(const PoseGraph<Pose>& graph, const std::vector<PoseId>& seen) {
+  std::unordered_set<std::int64_t> ids;
+  std::vector<int> rank(graph.Poses().size(), kNever);
+  for (size_t k = 0; k < seen.size(); ++k) {
+    ids.insert(seen[k].value);
+    if (graph.HasPose(seen[k])) rank[At(graph.IndexOf(seen[k]))] = static_cast<int>(k) - static_cast<int>(seen.size());
+  }
+  const NewPart<Pose> part = MakeNewPart(graph, ids);
+  std::vector<ArrivalStep> steps = ArrivalSteps(part.graph, ArrivalUnit::kPose);
+  for (ArrivalStep& step : steps) {
+    for (int& p : step.poses) p = part.poses[At(p)];
+    for (int& k : step.factors) k = part.factors[At(k)];
+    step.poses.erase(std::remove(step.poses.begin(), step.poses.end(), -1), step.poses.end());
+  }
+  Build(graph, steps, std::move(rank));
+}
+
+template <class Pose>
+void GraphReplay<Pose>::Build(const PoseGraph<Pose>& graph, const std::vector<ArrivalStep>& steps,
+                              std::vector<int> rank) {
   const auto latest = [&](const Factor<Pose>& factor) {
     const FactorPoses ends = PosesOf(factor);
     return std::max(rank[At(graph.IndexOf(ends.first))], rank[At(graph.IndexOf(ends.second))]);
   };
-  const auto steps = ArrivalSteps(graph, ArrivalUnit::kPose);
   for (const ArrivalStep& step : steps) {
     for (const int p : step.poses) {
       const auto& node = graph.Poses()[At(p)];

@@ -274,7 +274,7 @@ Evaluation Evaluate(const std::vector<SE3>& T_world_estimate, const std::vector<
   }
   out.ate = absolute.RootMean(static_cast<double>(n));
   out.rpe = next.RootMean(static_cast<double>(n - 1));
-  out.rpe_all = EvaluateAllPairs(T_world_estimate, T_world_reference, options.threads);
+  if (options.all_pairs) out.rpe_all = EvaluateAllPairs(T_world_estimate, T_world_reference, options.threads);
   if (options.kitti) out.kitti = EvaluateKitti(T_world_estimate, T_world_reference);
   return out;
 }

@@ -2,14 +2,13 @@
 #include <iostream>
 
 #include "commands.h"
+#include "compact_map_file.h"
 #include "compact_output.h"
 #include "compact_run.h"
-#include "covariance_output.h"
 #include "report.h"
-#include "terse/compact/thresholds.h"
+#include "terse/compact/compact_map.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
-#include "terse/covariance/incremental_marginals.h"
 #include "thresholds_file.h"
 
 namespace terse {
@@ -18,7 +17,9 @@ namespace {
 struct CompactCommandOptions {
   std::string path, directory;
   ReadOptions read;
-  Strategy strategy = Strategy::kFpfl;
+  std::string continued;     // the folder of the run to continue
+  std::string ground_truth;  // a file
+  std::optional<Strategy> strategy;
   std::vector<double> range;
   std::optional<double> probability;
   std::optional<double> min_pose_gain, min_loop_gain;
@@ -47,10 +48,10 @@ void CheckRange(const PoseGraph<Pose>&, const CompactCommandOptions& options) {
 // What the user gave; the rest from a sample of the file.
 template <class Pose>
 CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay<Pose>& replay,
-                                 const CompactCommandOptions& from, Stats& stats) {
+                                 const CompactCommandOptions& from, nlohmann::ordered_json& sample) {
   constexpr int kSize = Displacement<Pose>::kSize;
   CompactOptions<Pose> options;
-  options.strategy = from.strategy;
+  options.strategy = *from.strategy;
   options.distance.angle = from.angle;
   options.composition = from.composition;
   options.innovation_quantile = from.innovation_quantile;
@@ -63,30 +64,16 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   } else if (from.auto_thresholds || (!complete && from.strategy != Strategy::kApal)) {
     const double before = SecondsNow();
     const Thresholds<Pose> chosen = SampleWithProgress(graph, from.sample, "sample", from.quiet, options);
-    stats.more["sample"] = {{"poses", chosen.sample_poses},
-                            {"loop_gain_90", chosen.loop_gain_90},
-                            {"pose_gain_90", chosen.pose_gain_90},
-                            {"seconds", SecondsNow() - before}};
+    sample = {{"poses", chosen.sample_poses},
+              {"loop_gain_90", chosen.loop_gain_90},
+              {"pose_gain_90", chosen.pose_gain_90},
+              {"seconds", SecondsNow() - before}};
   }
   if (!from.range.empty()) options.range = Eigen::Map<const Vector<kSize>>(from.range.data());
   options.probability = from.probability.value_or(options.probability);
   options.min_loop_gain = from.min_loop_gain.value_or(options.min_loop_gain);
   options.min_pose_gain = from.min_pose_gain.value_or(options.min_pose_gain);
   return options;
-}
-
-template <class Pose>
-void WriteResults(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result,
-                  const std::vector<Decision>& decisions, const CompactCommandOptions& options, Stats& stats) {
-  WriteCompactMap(slam, result, options.recovery, options.read.rotation_information, options.directory);
-  WriteDecisions(decisions, options.directory + "/decisions.csv");
-  std::vector<PoseId> ids;
-  for (const auto& node : slam.Solver().Graph().Poses()) ids.push_back(node.id);
-  const double before = SecondsNow();
-  // Finish left the solver at the optimum, with the weights of its loops.
-  const IncrementalMarginals<Pose> marginals(slam.Solver());
-  WriteCovariances<Pose>(ids, marginals.AllMarginals(), options.directory + "/covariances.csv");
-  stats.seconds_covariance = SecondsNow() - before;
 }
 
 void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
@@ -96,7 +83,7 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
   std::snprintf(line, sizeof(line),
                 "%s kept %ld of %zu poses (%.1f %%) and %ld of %ld links (%.1f %%); %ld registrations tried, %ld links "
                 "refused by the innovation test\n",
-                Name(options.strategy), number("poses_kept"), stats.poses,
+                Name(*options.strategy), number("poses_kept"), stats.poses,
                 percent(static_cast<double>(number("poses_kept")), static_cast<double>(stats.poses)),
                 number("links_kept"), number("links_offered"),
                 percent(static_cast<double>(number("links_kept")), static_cast<double>(number("links_offered"))),
@@ -118,53 +105,110 @@ void DrawAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, c
   replay.DrawAtRandom(run.PosesKept(), run.LinksKept(), options.seed);
 }
 
+// What there was before; nothing but for --continue.
 template <class Pose>
-void CompactGraph(const PoseGraph<Pose>& graph, const CompactCommandOptions& options, Stats stats, double start) {
-  GraphReplay<Pose> replay(graph);
-  const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, stats);
-  if (options.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
-  CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), replay, "poses", options.quiet);
-  const CompactPoseSlam<Pose>& slam = run.slam;
-  const BatchResult<Pose>& result = run.result;
-  stats.step_seconds = std::move(run.step_seconds);
-  WriteThresholds(settings, options.directory + "/thresholds.json");
-  WriteResults(slam, result, run.decisions, options, stats);
-  const EdgeCounts kept = CountEdges(slam.Solver().Graph());
-  stats.poses = graph.Poses().size();
-  stats.counts = CountEdges(graph);
-  stats.chi2 = result.chi2;
-  stats.normalized_chi2 = kept.scalars > 0 ? result.chi2 / static_cast<double>(kept.scalars) : 0;
-  stats.log_determinant = result.log_determinant;
-  stats.iterations = result.iterations;
-  stats.converged = result.Converged();
-  stats.termination = Name(result.termination);
-  stats.phases = slam.Solver().Seconds();
-  stats.more["strategy"] = Name(options.strategy);
-  stats.more["poses_kept"] = slam.Solver().Graph().Poses().size();
-  stats.more["links_kept"] = slam.LinksKept();
-  stats.more["links_offered"] = replay.LinksOffered();
-  stats.more["registrations_tried"] = run.registrations_tried;
-  stats.more["links_refused"] = run.links_refused;
-  nlohmann::ordered_json thresholds = ThresholdsToJson(settings);
-  thresholds.erase("link_covariance");
-  stats.more["thresholds"] = std::move(thresholds);
+struct Before {
+  CompactMap<Pose> map;
+  RunRows rows;
+};
+
+template <class Pose>
+Before<Pose> TakeBefore(const std::optional<GraphJson>& file, const CompactCommandOptions& options) {
+  if (!file) return {};
+  const auto* map = std::get_if<CompactMap<Pose>>(&file->map);
+  if (map == nullptr) {
+    throw std::invalid_argument(std::to_string(Pose::kDim) + "D, but the map to continue, " + options.continued +
+                                "/graph.json, is not");
+  }
+  return {*map, ReadRunRows(options.continued, map->poses.size())};
+}
+
+template <class Pose>
+CompactPoseSlam<Pose> StartFrom(const CompactMap<Pose>& map, const CompactOptions<Pose>& settings,
+                                const CompactCommandOptions& options) {
+  if (map.poses.empty()) return CompactPoseSlam<Pose>(settings);
+  std::optional<CompactPoseSlam<Pose>> slam;
+  AddPathToErrors(options.continued + "/graph.json", [&] { slam = CompactPoseSlam<Pose>::Restore(map, settings); });
+  return std::move(*slam);
+}
+
+template <class Pose>
+std::optional<TruePoses> ReadTruthOfAll(const CompactMap<Pose>& before, const GraphReplay<Pose>& replay,
+                                        const std::string& path) {
+  if (path.empty()) return std::nullopt;
+  std::vector<PoseId> ids;
+  for (const auto& pose : before.poses) ids.push_back(pose.id);
+  for (const auto& input : replay.Inputs()) ids.push_back(input.id);
+  return ReadTruePoses<Pose>(ids, path);
+}
+
+template <class Pose>
+void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const CompactCommandOptions& options,
+           double seconds_read, double start) {
+  std::vector<PoseId> seen;
+  for (const auto& pose : before.map.poses) seen.push_back(pose.id);
+  GraphReplay<Pose> replay = seen.empty() ? GraphReplay<Pose>(graph) : GraphReplay<Pose>(graph, seen);
+  const auto truth = ReadTruthOfAll(before.map, replay, options.ground_truth);
+  const TruePoses* known = truth ? &*truth : nullptr;
+  nlohmann::ordered_json sample;
+  const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, sample);
+  if (settings.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
+  StepRecorder<Pose> recorder(static_cast<int>(replay.Inputs().size()), known);
+  CompactPoseSlam<Pose> slam = StartFrom(before.map, settings, options);
+  const int links_before = slam.LinksKept();
+  const CompactRun<Pose> run = RunWithProgress<Pose>(
+      std::move(slam), replay, "poses", options.quiet,
+      [&](const CompactPoseSlam<Pose>& now, const Decision& decision, double s) { recorder.Add(now, decision, s); });
+  const RunTrajectories trajectories = MakeRunTrajectories(run.slam, options.recovery, known);
+  Stats stats = MakeStats(graph, run, EvaluateRun(trajectories, Pose::kDim));
+  if (!sample.is_null()) stats.more["sample"] = sample;
+  if (!seen.empty()) {
+    stats.more["continued"] = {{"poses", seen.size()}, {"links_kept", links_before}};
+    stats.more["links_offered"] = run.links_offered + links_before;
+  }
+  stats.seconds_read = seconds_read;
+  const RunResults<Pose> results{run.slam,
+                                 run.result,
+                                 run.decisions,
+                                 recorder.Steps(),
+                                 trajectories,
+                                 options.recovery,
+                                 options.read.rotation_information,
+                                 before.rows};
+  stats.seconds_covariance = WriteRun(results, options.directory);
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
   if (!options.quiet) PrintSummary(stats, options);
 }
 
-void Compact(const CompactCommandOptions& options) {
+// Of --continue: what is not given is as it was.
+std::optional<GraphJson> ReadContinued(CompactCommandOptions& options) {
+  if (options.continued.empty()) return std::nullopt;
+  GraphJson file = ReadGraphJson(options.continued + "/graph.json");
+  if (!options.strategy) options.strategy = file.strategy;
+  if (options.strategy == Strategy::kRfpfl) {
+    throw CLI::ValidationError("--continue", "rfpfl draws from all poses beforehand: there is nothing to continue");
+  }
+  if (options.thresholds.empty() && !options.auto_thresholds)
+    options.thresholds = options.continued + "/thresholds.json";
+  return file;
+}
+
+void Compact(CompactCommandOptions options) {
   const double start = SecondsNow();
+  const std::optional<GraphJson> before = ReadContinued(options);
+  if (!options.strategy) throw CLI::RequiredError("--strategy");
   const GraphFile file = ReadGraph(options.path, options.read);
-  Stats stats;
-  stats.seconds_read = SecondsNow() - start;
+  const double seconds_read = SecondsNow() - start;
   if (!options.quiet) ReportRepairs(file, options.path);
   std::visit([&](const auto& graph) { CheckRange(graph, options); }, file.graph);
   // Before the long run, not after it.
   RequireFolder(options.directory);
-  AddPathToErrors(options.path, [&] {
-    std::visit([&](const auto& graph) { CompactGraph(graph, options, std::move(stats), start); }, file.graph);
-  });
+  const auto run = [&](const auto& graph) {
+    using Pose = std::decay_t<decltype(*graph.Poses().front().T_world_body)>;
+    RunOn(graph, TakeBefore<Pose>(before, options), options, seconds_read, start);
+  };
+  AddPathToErrors(options.path, [&] { std::visit(run, file.graph); });
 }
 
 }  // namespace
@@ -176,9 +220,19 @@ void AddCompactCommand(CLI::App& app) {
   AddChoice(
       *command, "--strategy", options->strategy,
       {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kRfpfl}},
-      "All poses all links, all poses few links, few poses few links, or as few at random")
-      ->default_str("")
-      ->required();
+      "All poses all links, all poses few links, few poses few links, or as few at random; needed but with --continue, "
+      "which goes on as before")
+      ->default_str("");
+  command
+      ->add_option(
+          "--continue", options->continued,
+          "Continue the map in this folder (its graph.json and thresholds.json) with the poses of FILE that it "
+          "has not seen: FILE is the longer graph, or the new part alone, which names poses of the map")
+      ->type_name("DIR");
+  command
+      ->add_option("--ground-truth", options->ground_truth,
+                   "True poses, a TUM or KITTI file or a graph: writes the errors of the run and of its steps")
+      ->type_name("FILE");
   command
       ->add_option("--range", options->range,
                    "Sensor range in metres and radians; by default chosen from the first 60 % of the file, as are "
@@ -225,7 +279,10 @@ void AddCompactCommand(CLI::App& app) {
       ->required()
       ->type_name("DIR");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
-  command->footer("Example: terse compact sphere2500.g2o --strategy fpfl --output sphere_fpfl");
+  command->footer(
+      "Example: terse generate sphere --output sphere.g2o --ground-truth sphere.tum &&\n"
+      "         terse compact sphere.g2o --strategy fpfl --ground-truth sphere.tum --output sphere_fpfl\n"
+      "         terse compact longer.g2o --continue sphere_fpfl --output longer_fpfl");
   command->callback([options] { Compact(*options); });
 }
 

@@ -1,37 +1,16 @@
 #include "compact_table.h"
 
 #include <algorithm>
-#include <set>
 
+#include "compact_output.h"
 #include "compact_run.h"
+#include "compact_steps.h"
 #include "progress.h"
 #include "report.h"
 #include "terse/covariance/incremental_marginals.h"
 
 namespace terse {
 namespace {
-
-// Points per curve of a figure, about.
-constexpr int kGrowthPoints = 300;
-
-// Blocks of the growing H, counted as its factors come in.
-template <class Pose>
-class HessianBlocks {
- public:
-  std::int64_t Nonzeros(const PoseGraph<Pose>& graph) {
-    constexpr std::int64_t B = Pose::kDof;
-    for (; seen_ < graph.Factors().size(); ++seen_) {
-      const FactorPoses ends = PosesOf(graph.Factors()[seen_].factor);
-      if (ends.count == 2) pairs_.insert(std::minmax(ends.first.value, ends.second.value));
-    }
-    return B * (B + 1) / 2 * static_cast<std::int64_t>(graph.Poses().size()) +
-           B * B * static_cast<std::int64_t>(pairs_.size());
-  }
-
- private:
-  std::size_t seen_ = 0;
-  std::set<std::pair<std::int64_t, std::int64_t>> pairs_;
-};
 
 template <class Pose>
 class TableRun {
@@ -48,6 +27,7 @@ class TableRun {
     reference_ = named_.reference;
     row_.reference = reference_.kind;
     if (reference_.kind == ReferenceKind::kOptimum || is_giant_) SolveAll();
+    FindTruth();
     ChooseThresholds();
     RunFpfl();
     is_giant_ ? TakeOptimumAsApal() : RunApal();
@@ -73,6 +53,15 @@ class TableRun {
     return ComputeErrors(named_.graph, reference_, trajectory, options_.most_poses);
   }
 
+  // For the folders, where it is known.
+  void FindTruth() {
+    if (options_.folder.empty() || named_.reference.kind == ReferenceKind::kOptimum) return;
+    truth_.emplace();
+    for (std::size_t k = 0; k < reference_.T_world_body.size(); ++k) {
+      (*truth_)[named_.graph.Poses()[k].id.value] = InSpace(reference_.T_world_body[k]);
+    }
+  }
+
   void ChooseThresholds() {
     const double before = SecondsNow();
     SampleWithProgress(named_.graph, options_.sample, row_.graph + " sample", options_.quiet, settings_);
@@ -91,12 +80,10 @@ class TableRun {
     CompactOptions<Pose> settings = settings_;
     settings.strategy = strategy;
     StrategyResult result;
-    HessianBlocks<Pose> blocks;
     std::unique_ptr<IncrementalMarginals<Pose>> marginals;
-    const int stride = std::max(1, row_.poses / kGrowthPoints);
-    int step = 0;
+    StepRecorder<Pose> recorder(row_.poses, truth_ ? &*truth_ : nullptr);
     double solving = 0, covariances = 0;
-    const auto after_step = [&](const CompactPoseSlam<Pose>& slam, const Decision&, double seconds) {
+    const auto after_step = [&](const CompactPoseSlam<Pose>& slam, const Decision& decision, double seconds) {
       solving += seconds;
       if (strategy == Strategy::kApal) {
         if (!marginals) marginals = std::make_unique<IncrementalMarginals<Pose>>(slam.Solver());
@@ -104,10 +91,11 @@ class TableRun {
         marginals->Update();
         covariances += SecondsNow() - before;
       }
-      if (++step % stride != 0 && step != row_.poses) return;
-      const PoseGraph<Pose>& graph = slam.Solver().Graph();
-      result.growth.push_back({step, static_cast<int>(graph.Poses().size()), slam.LinksKept(), solving + covariances,
-                               blocks.Nonzeros(graph), slam.Solver().Factor().FactorNonzeros()});
+      recorder.Add(slam, decision, seconds);
+      const CompactStep& now = recorder.Steps().back();
+      if (!now.hessian_nonzeros) return;
+      result.growth.push_back({static_cast<int>(recorder.Steps().size()), now.poses, now.links, solving + covariances,
+                               *now.hessian_nonzeros, *now.factor_nonzeros});
     };
     CompactRun<Pose> run = RunWithProgress<Pose>(CompactPoseSlam<Pose>(settings), replay,
                                                  row_.graph + ' ' + Name(strategy), options_.quiet, after_step);
@@ -117,7 +105,19 @@ class TableRun {
     result.seconds_solving = solving;
     if (strategy == Strategy::kApal) result.seconds_covariances = covariances;
     result.errors = Errors(run.slam.Trajectory());
+    const bool is_first = !seed || *seed == options_.seed;
+    if (is_first && !options_.folder.empty()) WriteFolder(run, recorder.Steps());
     return {std::move(result), std::move(run)};
+  }
+
+  void WriteFolder(const CompactRun<Pose>& run, const std::vector<CompactStep>& steps) const {
+    const std::string folder = options_.folder + '/' + row_.graph + '/' + Name(run.slam.Options().strategy);
+    RequireFolder(folder);
+    const RunTrajectories trajectories = MakeRunTrajectories(run.slam, Recovery::kV2, truth_ ? &*truth_ : nullptr);
+    Stats stats = MakeStats(named_.graph, run, EvaluateRun(trajectories, Pose::kDim));
+    stats.seconds_covariance = WriteRun<Pose>({run.slam, run.result, run.decisions, steps, trajectories}, folder);
+    stats.seconds_total = run.Seconds() + stats.seconds_covariance;
+    WriteJson(ToJson(stats), folder + "/stats.json");
   }
 
   void RunFpfl() {
@@ -166,6 +166,7 @@ class TableRun {
   bool is_giant_;
   Reference<Pose> reference_;
   std::vector<Pose> optimum_;
+  std::optional<TruePoses> truth_;
   CompactOptions<Pose> settings_;
   CompactTableRow row_;
 };

@@ -21,6 +21,7 @@ struct CompactTableOptions {
   // Graphs with more poses: no covariances at every step, and APAL is one batch solution.
   std::size_t most_poses = 20000;
   bool quiet = false;
+  std::string folder;  // for the files of every run, GRAPH/STRATEGY in it; none if empty
 };
 
 // What a run had grown to at a step, for the figures.

@@ -17,8 +17,6 @@ using std::size_t;
 
 constexpr double kPi = 3.14159265358979323846;
 
-SE3 InSpace(const SE2& T) { return Lift(T); }
-SE3 InSpace(const SE3& T) { return T; }
 void TakeFrom(const SE3& T, SE3& out) { out = T; }
 void TakeFrom(const SE3& T, SE2& out) {
   const Vector<3> x = T.Rotation() * Vector<3>(1, 0, 0);
@@ -58,6 +56,9 @@ PoseError ErrorToNext(const std::vector<SE3>& estimate, const std::vector<SE3>& 
 }
 
 }  // namespace
+
+SE3 InSpace(const SE2& T_a_b) { return Lift(T_a_b); }
+SE3 InSpace(const SE3& T_a_b) { return T_a_b; }
 
 const char* Name(ReferenceKind kind) {
   switch (kind) {
@@ -107,24 +108,33 @@ std::optional<std::vector<SE3>> SphereTruth(const PoseGraph<SE3>& graph) {
 }
 
 template <class Pose>
-std::vector<Pose> ReadTruth(const PoseGraph<Pose>& graph, const std::string& path) {
+TruePoses ReadTruePoses(std::vector<PoseId> ids, const std::string& path) {
   const Trajectory trajectory = ReadTrajectory(path);
-  std::vector<int> order(graph.Poses().size());  // by id
-  std::iota(order.begin(), order.end(), 0);
-  const auto id = [&](int index) { return graph.Poses()[static_cast<size_t>(index)].id; };
-  std::sort(order.begin(), order.end(), [&](int a, int b) { return id(a) < id(b); });
-  const bool by_line = trajectory.format == TrajectoryFormat::kTum && trajectory.stamps.size() == order.size();
-  std::vector<Pose> out(order.size());
-  for (size_t k = 0; k < order.size(); ++k) {
-    const double stamp = static_cast<double>(id(order[k]).value);
+  std::sort(ids.begin(), ids.end());
+  const bool by_line = trajectory.format == TrajectoryFormat::kTum && trajectory.stamps.size() == ids.size();
+  TruePoses out;
+  for (size_t k = 0; k < ids.size(); ++k) {
+    const double stamp = static_cast<double>(ids[k].value);
     const auto found = std::lower_bound(trajectory.stamps.begin(), trajectory.stamps.end(), stamp);
     size_t at = static_cast<size_t>(found - trajectory.stamps.begin());
     if (by_line) at = k;
     if (!by_line && (found == trajectory.stamps.end() || *found != stamp)) {
-      throw std::invalid_argument(path + ": no pose " + std::to_string(id(order[k]).value));
+      throw std::invalid_argument(path + ": no pose " + std::to_string(ids[k].value));
     }
-    TakeFrom(trajectory.T_world_body[at], out[static_cast<size_t>(order[k])]);
+    Pose T_world_body;
+    TakeFrom(trajectory.T_world_body[at], T_world_body);
+    out[ids[k].value] = InSpace(T_world_body);
   }
+  return out;
+}
+
+template <class Pose>
+std::vector<Pose> ReadTruth(const PoseGraph<Pose>& graph, const std::string& path) {
+  std::vector<PoseId> ids;
+  for (const auto& node : graph.Poses()) ids.push_back(node.id);
+  const TruePoses truth = ReadTruePoses<Pose>(ids, path);
+  std::vector<Pose> out(ids.size());
+  for (size_t k = 0; k < ids.size(); ++k) TakeFrom(truth.at(ids[k].value), out[k]);
   return out;
 }
 
@@ -166,6 +176,7 @@ TrajectoryErrors ComputeErrors(const PoseGraph<Pose>& graph, const Reference<Pos
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                 \
+  template TruePoses ReadTruePoses<Pose>(std::vector<PoseId>, const std::string&);              \
   template std::vector<Pose> ReadTruth<Pose>(const PoseGraph<Pose>&, const std::string&);       \
   template BatchResult<Pose> BatchOptimum<Pose>(const PoseGraph<Pose>&);                        \
   template TrajectoryErrors ComputeErrors<Pose>(const PoseGraph<Pose>&, const Reference<Pose>&, \

@@ -13,6 +13,7 @@
 #include <string_view>
 #include <system_error>
 
+#include "crc32.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 
@@ -25,16 +26,6 @@ constexpr std::string_view kFormat = "terse online journal 1\n";
 
 FileError Failure(const std::string& path, const std::string& what) {
   return FileError(path, 0, what + ": " + std::system_category().message(errno));
-}
-
-// IEEE 802.3, bit by bit: a line is short.
-std::uint32_t Crc32(std::string_view text) {
-  std::uint32_t crc = 0xFFFFFFFFu;
-  for (const char c : text) {
-    crc ^= static_cast<unsigned char>(c);
-    for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ ((crc & 1u) != 0 ? 0xEDB88320u : 0u);
-  }
-  return ~crc;
 }
 
 std::string Record(const std::string& text) {

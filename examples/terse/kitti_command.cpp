@@ -67,12 +67,13 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.slam.compact.strategy = options.strategy;
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
+  how.truth = truth;
   LoopsFile loops(folder + "/loops.csv");
   how.after_step = [&](const StereoSlamStep& step) { loops.Add(step); };
   Outcome out{RunKitti(sequence, frames, how), std::nullopt};
   loops.Commit();
   if (truth.size() > 1) out.errors = ComputeKittiErrors(out.run, sequence, truth);
-  WriteKittiResults(out.run, sequence, out.errors, folder);
+  WriteKittiResults(out.run, sequence, truth, out.errors, folder);
   if (!options.quiet) PrintKittiSummary(out.run, out.errors, folder);
   return out;
 }

@@ -7,11 +7,7 @@
 
 #include "commands.h"
 #include "compact_output.h"
-#include "covariance_output.h"
 #include "report.h"
-#include "terse/core/graph_file.h"
-#include "terse/covariance/incremental_marginals.h"
-#include "thresholds_file.h"
 
 namespace terse {
 namespace {
@@ -145,21 +141,15 @@ KittiErrors ComputeKittiErrors(const KittiRun& run, const KittiSequence& sequenc
   return {Evaluate(MapTrajectory(run, sequence), truth, how), Evaluate(OdometryTrajectory(run, sequence), truth, how)};
 }
 
-void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const std::optional<KittiErrors>& errors,
-                       const std::string& folder) {
-  const CompactPoseSlam<SE3>& map = run.slam.Map();
-  WriteCompactMap(map, run.result, Recovery::kV2, RotationInformation::kQuaternion, folder);
-  // Of camera 0 and with times: WriteCompactMap's trajectory has ids for stamps.
+void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const std::vector<SE3>& truth,
+                       const std::optional<KittiErrors>& errors, const std::string& folder) {
   const std::vector<SE3> poses = MapTrajectory(run, sequence);
-  WriteTum(Stamped(TrajectoryFormat::kTum, poses, run, sequence), folder + "/trajectory.tum");
+  RunTrajectories trajectories{Stamped(TrajectoryFormat::kTum, poses, run, sequence), std::nullopt};
+  if (!truth.empty()) trajectories.truth = Stamped(TrajectoryFormat::kTum, truth, run, sequence);
+  WriteRun<SE3>({run.slam.Map(), run.result, run.decisions, run.steps, trajectories}, folder);
   WriteKitti(Stamped(TrajectoryFormat::kKitti, poses, run, sequence), folder + "/trajectory.kitti.txt");
   WriteKitti(Stamped(TrajectoryFormat::kKitti, OdometryTrajectory(run, sequence), run, sequence),
              folder + "/odometry.kitti.txt");
-  std::vector<PoseId> ids;
-  for (const auto& node : map.Solver().Graph().Poses()) ids.push_back(node.id);
-  const IncrementalMarginals<SE3> marginals(map.Solver());
-  WriteCovariances<SE3>(ids, marginals.AllMarginals(), folder + "/covariances.csv");
-  WriteThresholds(map.Options(), folder + "/thresholds.json");
   WriteJson(StatsToJson(run, sequence, errors), folder + "/stats.json");
 }
 

@@ -28,9 +28,10 @@ struct KittiErrors {
 };
 KittiErrors ComputeKittiErrors(const KittiRun& run, const KittiSequence& sequence, const std::vector<SE3>& truth);
 
-// trajectory.kitti.txt, trajectory.tum, odometry.kitti.txt, compact.g2o, covariances.csv, stats.json, thresholds.json.
-void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const std::optional<KittiErrors>& errors,
-                       const std::string& folder);
+// What every compact run leaves behind (compact_output.h), with the trajectories of camera 0; trajectory.kitti.txt and
+// odometry.kitti.txt. `truth` may be empty.
+void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const std::vector<SE3>& truth,
+                       const std::optional<KittiErrors>& errors, const std::string& folder);
 
 void PrintKittiSummary(const KittiRun& run, const std::optional<KittiErrors>& errors, const std::string& folder);
 // Candidates by information and by appearance, next to each other.

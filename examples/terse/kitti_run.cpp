@@ -66,6 +66,13 @@ std::vector<SE3> OfCamera0(std::vector<SE3> T_world_left, const SE3& T_camera0_l
   return T_world_left;
 }
 
+// Of the left camera, which the map's poses are of.
+TruePoses TrueLeftPoses(const KittiSequence& sequence, const std::vector<int>& frames, const std::vector<SE3>& truth) {
+  TruePoses out;
+  for (size_t k = 0; k < truth.size(); ++k) out[frames[k]] = truth[k] * sequence.T_camera0_left();
+  return out;
+}
+
 }  // namespace
 
 KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames, const KittiRunOptions& options) {
@@ -76,7 +83,9 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
     search = MakeSearch(sequence, frames, options);
     vocabulary = SecondsNow() - before;
   }
-  KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}};
+  KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}, {}, {}};
+  const TruePoses truth = TrueLeftPoses(sequence, frames, options.truth);
+  StepRecorder<SE3> recorder(static_cast<int>(frames.size()), truth.empty() ? nullptr : &truth);
   KittiTotals& totals = run.totals;
   totals.vocabulary = 1000 * vocabulary;
   {
@@ -91,12 +100,15 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
       const StereoSlamStep step = run.slam.AddFrame(*frame);
       Add(step, totals);
       run.frames.push_back(frame->index);
+      run.decisions.push_back(step.decision);
+      recorder.Add(run.slam.Map(), step.decision, step.times.map / 1000);
       if (!step.odometry.reason.empty()) run.odd.push_back({frame->index, step.odometry.status, step.odometry.reason});
       if (options.after_step) options.after_step(step);
       progress.Update(totals.frames);
     }
     totals.seconds = SecondsNow() - start;
   }
+  run.steps = recorder.Steps();
   run.result = run.slam.Finish();
   if (run.result.termination == Termination::kNotPositiveDefinite || run.result.termination == Termination::kDiverged) {
     throw NumericalError(run.result.message);

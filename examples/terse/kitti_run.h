@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "compact_steps.h"
 #include "terse/core/evaluate.h"
 #include "terse/frontend/kitti_sequence.h"
 #include "terse/frontend/stereo_slam.h"
@@ -38,6 +39,8 @@ struct KittiRun {
   KittiTotals totals;
   std::vector<int> frames;  // their indices, in the order they were added
   std::vector<OddFrame> odd;
+  std::vector<Decision> decisions;  // one per frame
+  std::vector<CompactStep> steps;
   BatchResult<SE3> result;  // of the map
 };
 
@@ -46,6 +49,7 @@ struct KittiRunOptions {
   bool by_appearance = false;
   std::string label = "frames";
   bool quiet = false;
+  std::vector<SE3> truth;  // T_world_camera0 of the frames, where they are known
   std::function<void(const StereoSlamStep&)> after_step;
 };
 

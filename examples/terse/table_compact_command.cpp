@@ -48,6 +48,7 @@ void MakeFolder(const std::string& folder) {
 CompactTableRow RunGraph(const CompactGraphName& name, const Options& options) {
   const AnyNamedGraph graph = LoadNamedGraph(name, options.folder, options.laps);
   CompactTableOptions table = options.table;
+  table.folder = options.output;
   table.norms = !options.output.empty() && name.name == "ellipse";
   return std::visit([&](const auto& named) { return RunCompactTable(named, table); }, graph);
 }
@@ -117,7 +118,10 @@ void AddCompactTable(CLI::App& table) {
       ->check(CLI::IsMember(accepted))
       ->delimiter(',')
       ->type_name("NAME,...");
-  command->add_option("--output", options->output, "Folder for the figures (CSV, SVG), made if it is missing")
+  command
+      ->add_option("--output", options->output,
+                   "Folder for the figures (CSV, SVG), made if it is missing; the files of each run, as compact writes "
+                   "them, in GRAPH/STRATEGY in it")
       ->type_name("FOLDER");
   AddSampleOption(*command, options->table.sample);
   AddSeedOption(*command, options->table.seed, "Of the first random run");
@@ -141,7 +145,7 @@ void AddCompactTable(CLI::App& table) {
   command->add_option("--update", options->update, "Put the tables into this document, between <!-- tables --> marks")
       ->type_name("FILE");
   command->add_flag("--quiet", options->table.quiet, "No progress on standard error");
-  command->footer("Example: terse table compact graphs --graphs ellipse,sphere2500 --output figures");
+  command->footer("Example: terse table compact . --graphs ellipse --output figures");
   command->callback([options] { RunTable(*options); });
 }
 

@@ -35,6 +35,8 @@ namespace terse {
 
 template <class Pose>
 class PoseIndex;
+template <class Pose>
+struct CompactMap;
 
 // How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Eq. 24): chained to the kept pose before
 // them. kV2 (Eqs. 25-26): that chain's misfit at the next kept pose spread over it by its covariance; behind the last
@@ -103,6 +105,12 @@ class CompactPoseSlam {
   void Save(const std::string& path) const;
   static CompactPoseSlam Load(const std::string& path);
 
+  // The map as a plain value (compact_map.h), dropped poses recovered as asked for; and a run that continues from one,
+  // its map brought to the optimum. Factors are numbered anew, in the same order. Throws std::invalid_argument if the
+  // map contradicts itself (FindDefect says where), NumericalError if its measurements do not hold it.
+  CompactMap<Pose> Export(Recovery recovery = Recovery::kV2) const;
+  static CompactPoseSlam Restore(const CompactMap<Pose>& map, const CompactOptions<Pose>& options);
+
   int PosesSeen() const { return static_cast<int>(history_.size()); }
   int LinksKept() const { return static_cast<int>(links_.size()); }
 
@@ -117,6 +125,11 @@ class CompactPoseSlam {
     // A dropped pose's chain as it ends at the next kept pose.
     std::optional<PoseId> next_kept;
     UncertainPose<Pose> T_base_next;
+  };
+  struct Link {
+    FactorId factor;
+    PoseId added_at;             // the last pose seen then
+    std::optional<double> gain;  // nats, measured
   };
   // A link that the innovation test refused.
   struct Refused {
@@ -147,7 +160,9 @@ class CompactPoseSlam {
   void UpdateSearch(int base);
   std::vector<int> InReach(const Current& current);
   std::vector<Evaluated> Evaluate(const Current& current, const std::vector<int>& poses) const;
-
+  // compact_map.cpp
+  std::vector<PoseId> ComposedOf(const RelativePoseFactor<Pose>& edge) const;
+  void TakeHistory(const CompactMap<Pose>& map);
   // compact_outliers.cpp
   UncertainPose<Pose> Between(PoseId a, PoseId b) const;
   bool IsSupported(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured) const;
@@ -163,7 +178,7 @@ class CompactPoseSlam {
   std::unique_ptr<IncrementalMarginals<Pose>> marginals_;
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
-  std::vector<FactorId> links_;                  // ascending
+  std::vector<Link> links_;                      // ascending factors
   std::vector<Refused> refused_;                 // the last ones
   bool searches_ = false;                        // covariances are kept with every change
   // Of all kept poses, as seen from them: the kept pose that the search was last made ready for, with covariances.

@@ -5,6 +5,7 @@
 #include <map>
 
 #include "terse/compact/compact_pose_slam.h"
+#include "terse/core/arrival.h"
 
 namespace terse {
 
@@ -13,6 +14,10 @@ class GraphReplay {
  public:
   // Throws std::invalid_argument if the graph is empty or not connected.
   explicit GraphReplay(const PoseGraph<Pose>& graph);
+  // What the graph adds to a run that has seen poses before, given in their order of arrival: those poses, their priors
+  // and the edges among them are left out, whether the graph holds them again or only names some. Throws
+  // std::invalid_argument if no edges join the new poses to those seen.
+  GraphReplay(const PoseGraph<Pose>& graph, const std::vector<PoseId>& seen);
 
   // In order of arrival. Odometry is the edge to the latest earlier pose; the other edges are links.
   const std::vector<CompactInput<Pose>>& Inputs() const { return inputs_; }
@@ -32,6 +37,9 @@ class GraphReplay {
   typename Pose::Jacobian LinkCovariance() const;
 
  private:
+  // Arrivals: poses and factors of `graph` in their order. Ranks of poses seen before are below 0.
+  void Build(const PoseGraph<Pose>& graph, const std::vector<ArrivalStep>& steps, std::vector<int> rank);
+
   std::vector<CompactInput<Pose>> inputs_;
   std::vector<RelativePoseFactor<Pose>> links_;
   std::vector<int> owner_;  // of the links: the input that brings them in

@@ -33,8 +33,9 @@ struct Evaluation {
 
 struct EvaluateOptions {
   Alignment alignment = Alignment::kSE3;
-  bool kitti = false;  // the devkit's metric: 100..800 m, a start every 10 frames
-  int threads = 0;     // for rpe_all; 0: all cores. The result does not depend on it.
+  bool all_pairs = true;  // rpe_all, in O(n^2); otherwise it stays 0
+  bool kitti = false;     // the devkit's metric: 100..800 m, a start every 10 frames
+  int threads = 0;        // for rpe_all; 0: all cores. The result does not depend on it.
 };
 
 // Two trajectories on the same stamps, index by index. Throws std::invalid_argument if sizes differ or are < 2.

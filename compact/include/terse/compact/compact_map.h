@@ -1,0 +1,66 @@
+#pragma once
+// A compact map as a plain value: what CompactPoseSlam::Export gives and Restore continues from.
+//
+// Estimates are those at the time of the export. Restore starts from them and brings the map to its optimum, so it
+// continues as the run that was exported would have after Finish(), up to rounding: the same factors in another order
+// of elimination. (CompactPoseSlam::Save is for continuing to the last bit.) Options are not part of it.
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "terse/compact/uncertain_pose.h"
+#include "terse/core/pose_graph.h"
+
+namespace terse {
+
+template <class Pose>
+struct CompactMap {
+  // A pose as it was seen.
+  struct SeenPose {
+    PoseId id;
+    bool kept = true;
+    Pose T_world_body;                // of a dropped one as recovered
+    Pose T_world_body_when_seen;      // Recovery::kV0
+    std::optional<PoseId> previous;   // that its odometry comes from; absent for the first
+    PoseId base;                      // the kept pose that it hangs on; itself if kept
+    UncertainPose<Pose> T_base_pose;  // identity, without covariance, if kept
+    // Of a dropped one, once its chain has ended at another kept pose.
+    std::optional<PoseId> next_kept;
+    UncertainPose<Pose> T_base_next;
+  };
+  struct Edge {
+    FactorId factor;
+    RelativePoseFactor<Pose> measured;
+    bool is_loop = false;        // a link beside the odometry
+    PoseId added_at;             // the pose at whose step it came in
+    std::optional<double> gain;  // nats; of links that were tested
+    // Odometry over dropped poses: those whose measurements were concatenated, from kept pose to kept pose. Else empty.
+    std::vector<PoseId> composed_of;
+  };
+  struct Prior {
+    FactorId factor;
+    Factor<Pose> measured;
+  };
+  struct Fixed {
+    PoseId pose;
+    Pose T_world_body;  // where it is held
+  };
+  // A link that the innovation test refused; others may agree with it (CompactOptions::consensus).
+  struct Refused {
+    PoseId candidate, seen;
+    UncertainPose<Pose> T_candidate_seen;
+  };
+  std::vector<SeenPose> poses;  // in order of arrival
+  std::vector<Edge> edges;      // between kept poses, ascending factors
+  std::vector<Prior> priors;    // on kept poses
+  std::vector<Fixed> fixed;
+  std::vector<Refused> refused;  // oldest first
+};
+
+// What contradicts itself in a map and where, as "poses[3].base: ...", else empty. That measurements hold all poses is
+// for the solver to find out.
+template <class Pose>
+std::string FindDefect(const CompactMap<Pose>& map);
+
+}  // namespace terse

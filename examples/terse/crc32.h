@@ -1,0 +1,25 @@
+#pragma once
+// The checksum of IEEE 802.3, as zip files and the journal have it.
+
+#include <array>
+#include <cstdint>
+#include <string_view>
+
+namespace terse {
+
+inline std::uint32_t Crc32(std::string_view bytes) {
+  static const std::array<std::uint32_t, 256> table = [] {
+    std::array<std::uint32_t, 256> out{};
+    for (std::uint32_t k = 0; k < out.size(); ++k) {
+      std::uint32_t crc = k;
+      for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ ((crc & 1u) != 0 ? 0xEDB88320u : 0u);
+      out[k] = crc;
+    }
+    return out;
+  }();
+  std::uint32_t crc = 0xFFFFFFFFu;
+  for (const char c : bytes) crc = (crc >> 8) ^ table[(crc ^ static_cast<unsigned char>(c)) & 255u];
+  return ~crc;
+}
+
+}  // namespace terse
