@@ -11,6 +11,7 @@
 #include "terse/core/error.h"
 #include "terse/covariance/incremental_marginals.h"
 #include "thresholds_file.h"
+#include "verbose.h"
 
 namespace terse {
 namespace {
@@ -32,6 +33,7 @@ struct CompactCommandOptions {
   std::uint64_t seed = 1;
   Recovery recovery = Recovery::kV2;
   bool quiet = false;
+  LogSink log;
 };
 
 // Usage, though only the file tells how many numbers are right.
@@ -55,6 +57,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.composition = from.composition;
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
+  options.log = from.log;
   options.link_covariance = replay.LinkCovariance();
   options.probability = from.probability.value_or(options.probability);
   const bool complete = !from.range.empty() && from.min_loop_gain && from.min_pose_gain;
@@ -230,7 +233,10 @@ void AddCompactCommand(CLI::App& app) {
       ->required()
       ->type_name("DIR");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
-  command->footer("Example: terse compact sphere2500.g2o --strategy fpfl --output sphere_fpfl");
+  AddVerboseOption(*command, options->log);
+  command->footer(
+      "Example: terse generate ellipse-n --laps 3 --output laps.g2o &&\n"
+      "         terse compact laps.g2o --strategy fpfl --output laps_fpfl");
   command->callback([options] { Compact(*options); });
 }
 
