@@ -10,6 +10,7 @@
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
 #include "terse/core/error.h"
+#include "terse/core/log_message.h"
 
 namespace terse {
 namespace {
@@ -50,11 +51,18 @@ RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose
 
 bool IsRefused(const Candidate& link) { return link.outlier && !link.supported; }
 
+template <class Pose>
+IncrementalOptions SolverOptions(const CompactOptions<Pose>& options) {
+  IncrementalOptions out = options.solver;
+  if (!out.log) out.log = options.log;
+  return out;
+}
+
 }  // namespace
 
 template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
-    : solver_(std::make_unique<IncrementalSolver<Pose>>(options.solver)),
+    : solver_(std::make_unique<IncrementalSolver<Pose>>(SolverOptions(options))),
       marginals_(std::make_unique<IncrementalMarginals<Pose>>(*solver_)),
       reach_(std::make_unique<PoseIndex<Pose>>()) {
   TakeOptions(options);
@@ -147,6 +155,41 @@ std::optional<RelativePoseFactor<Pose>> CompactPoseSlam<Pose>::Register(const Re
   return link;
 }
 
+template <class Pose>
+void CompactPoseSlam<Pose>::SetLog(LogSink log) {
+  solver_->SetLog(log);
+  options_.log = std::move(log);
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::LogLink(PoseId a, PoseId b, const Candidate& record, bool good) const {
+  if (!options_.log) return;
+  const char* what = good                ? " added: gain "
+                     : IsRefused(record) ? " refused by the innovation test: gain "
+                                         : " tells too little: gain ";
+  const LogLevel level = good || IsRefused(record) ? LogLevel::kInfo : LogLevel::kDebug;
+  internal::Log(options_.log, level, "link ", a.value, " - ", b.value, what, *record.measured_gain, " nats (threshold ",
+                options_.min_loop_gain, "), innovation ", record.innovation.value_or(0), " (at most ", most_innovation_,
+                record.supported ? ", but other refused links agree)" : ")");
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::LogVerdict(const Decision& decision) const {
+  if (!options_.log) return;
+  const bool by_gain = decision.verdict == PoseVerdict::kInformative || decision.verdict == PoseVerdict::kRedundant;
+  const LogLevel level =
+      decision.Kept() && decision.verdict != PoseVerdict::kAllKept ? LogLevel::kInfo : LogLevel::kDebug;
+  const std::string name = "pose " + std::to_string(decision.id.value) + (decision.Kept() ? " kept, " : " dropped, ");
+  if (by_gain && decision.pose_gain) {
+    internal::Log(options_.log, level, name, Name(decision.verdict), ": gain ", *decision.pose_gain,
+                  " nats (threshold ", options_.min_pose_gain, "), ", decision.candidates.size(), " candidates");
+  } else {
+    internal::Log(options_.log, level, name, Name(decision.verdict), ": ", decision.candidates.size(), " candidates, ",
+                  decision.registrations_tried, " tried, ", decision.links_accepted, " links, ", decision.links_refused,
+                  " refused");
+  }
+}
+
 // The gain and innovation of a registered link between record.id and the pose at hand, or two poses seen before
 // (`current` absent); whether it is to be added. An outlier may be supported by other links of the pose at hand; if it
 // is not, it may support a later one.
@@ -184,6 +227,7 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>&
     const auto link = Register(registration, best->record.id, current.input->id);
     if (!link) continue;
     const bool good = TryLink(&current, best->T_pose_current, SeenFrom(best->record.id, *link), best->record);
+    LogLink(best->record.id, current.input->id, best->record, good);
     if (IsRefused(best->record)) ++decision.links_refused;
     if (!good) continue;
     best->record.accepted = true;
@@ -337,6 +381,7 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
     throw;
   }
   Remember(current);
+  LogVerdict(decision);
   return decision;
 }
 
@@ -410,6 +455,7 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
   decision.from = carried.from;
   decision.to = carried.to;
   decision.accepted = TryLink(nullptr, Between(carried.from, carried.to), SeenFrom(carried.from, carried), record);
+  LogLink(carried.from, carried.to, record, decision.accepted);
   decision.gain = *record.measured_gain;
   decision.innovation = record.innovation;
   decision.outlier = record.outlier;

@@ -1,6 +1,7 @@
 // What of a compact run is stored: all but what the next step works out again to the same bits.
 
 #include "compact_pose_slam_parts.h"
+#include "terse/core/log_message.h"
 #include "terse/core/state_members.h"
 
 namespace terse {
@@ -20,7 +21,7 @@ void Serialize(Archive& archive, DistanceOptions& options) {
 template <class Archive, class Pose>
 void Serialize(Archive& archive, CompactOptions<Pose>& options) {
   auto& [strategy, range, probability, min_loop_gain, min_pose_gain, link_covariance, distance, composition,
-         innovation_quantile, consensus, solver] = options;
+         innovation_quantile, consensus, solver, log] = options;  // the log is not stored
   archive(strategy, range, probability, min_loop_gain, min_pose_gain, link_covariance, distance, composition,
           innovation_quantile, consensus, solver);
 }
@@ -71,15 +72,19 @@ void CompactPoseSlam<Pose>::Save(const std::string& path) const {
 }
 
 template <class Pose>
-CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Load(const std::string& path) {
-  return LoadState<CompactPoseSlam>(path, StateKind<Pose>("compact pose SLAM"));
+CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Load(const std::string& path, LogSink log) {
+  CompactPoseSlam slam = LoadState<CompactPoseSlam>(path, StateKind<Pose>("compact pose SLAM"));
+  slam.SetLog(std::move(log));
+  internal::Log(slam.options_.log, LogLevel::kInfo, "restored from ", path, ": ", slam.PosesSeen(), " poses seen, ",
+                slam.solver_->Graph().Poses().size(), " kept, ", slam.LinksKept(), " links");
+  return slam;
 }
 
 #define TERSE_INSTANTIATE(Pose)                                        \
   template void CompactPoseSlam<Pose>::Serialize(StateWriter&);        \
   template void CompactPoseSlam<Pose>::Serialize(StateReader&);        \
   template void CompactPoseSlam<Pose>::Save(const std::string&) const; \
-  template CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Load(const std::string&);
+  template CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Load(const std::string&, LogSink);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -12,11 +12,13 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/gauge.h"
+#include "terse/core/log_message.h"
 #include "terse/core/residual.h"
 
 namespace terse {
 namespace {
 
+using internal::Log;
 using internal::ScopedTimer;
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
@@ -266,6 +268,8 @@ class Run {
 
   BatchResult<Pose> Execute() && {
     cost_ = problem_.Cost(result_.T_world_body, result_.chi2);
+    Log(options_.log, LogLevel::kInfo, "batch: ", graph_.Poses().size(), " poses, ", graph_.Factors().size(),
+        " factors, chi2 ", result_.chi2);
     if (!std::isfinite(cost_)) {
       Finish(Termination::kDiverged, "chi2 is not finite at the initial values");
     } else if (BuildFactor()) {
@@ -274,6 +278,8 @@ class Run {
     }
     result_.robust_cost = problem_.IsRobust() ? problem_.RobustCost(result_.T_world_body) : result_.chi2;
     if (problem_.IsRobust()) result_.weights = problem_.WeightsAt(result_.T_world_body);
+    Log(options_.log, result_.Converged() ? LogLevel::kInfo : LogLevel::kWarning, "batch: ", Name(result_.termination),
+        " after ", result_.iterations, " iterations, chi2 ", result_.chi2, ": ", result_.message);
     return std::move(result_);
   }
 
@@ -329,11 +335,13 @@ class Run {
   // Weights from here on, for a descent of their own.
   int Reweigh(double mu) {
     const int changed = problem_.HoldWeights(result_.T_world_body, mu);
+    Log(options_.log, LogLevel::kDebug, "batch: robust stage mu ", mu, ": ", changed, " weights changed");
     cost_ = problem_.Cost(result_.T_world_body, result_.chi2);
     linearised_here_ = factored_here_ = false;
     climbing_ = 0;
     damping_control_ = Damping();
     if (problem_.IsOutdated()) {
+      Log(options_.log, LogLevel::kDebug, "batch: the factor is ordered anew for the loops that have weight");
       result_.factor = BlockCholesky<B>();
       result_.factor.SetThreads(options_.threads);
       if (BuildFactor()) linearised_here_ = factored_here_ = true;
@@ -370,6 +378,7 @@ class Run {
     result_.gradient_norm = LargestEntry(result_.factor.Gradient());
     if (!factored_here_) {
       // Another order may round better; or it says what is free.
+      Log(options_.log, LogLevel::kInfo, "batch: not positive definite at the optimum, the factor is ordered anew");
       result_.factor = BlockCholesky<B>();
       result_.factor.SetThreads(options_.threads);
       factored_here_ = BuildFactor();
@@ -416,6 +425,8 @@ class Run {
     // chi2 has no unit: below the constant it is rounding.
     const double tolerance = tolerance_ * cost_ + 1e-16;
     const bool small = predicted <= tolerance;
+    Log(options_.log, LogLevel::kDebug, "batch: iteration ", result_.iterations, ": cost ", cost_, " to ", trial.cost,
+        ", predicted ", cost_ - predicted, ", damping ", lambda);
     if (std::isfinite(trial.cost) && decrease >= 0) {
       Accept(std::move(trial));
       damping_control_.Accept(predicted > 0 ? decrease / predicted : 1);
@@ -455,6 +466,8 @@ class Run {
   }
 
   void Retreat() {
+    Log(options_.log, LogLevel::kInfo, "batch: iteration ", result_.iterations,
+        ": full steps do not come out below cost ", best_->cost, ", damped steps from there");
     Accept(std::move(*best_));
     best_.reset();
     climbing_ = 0;
@@ -465,6 +478,8 @@ class Run {
     if (best_) return Retreat();
     if (options_.method == Method::kGaussNewton) return Finish(Termination::kDiverged, why);
     damping_control_.Reject();
+    Log(options_.log, LogLevel::kDebug, "batch: iteration ", result_.iterations, ": rejected, ", why, ", damping ",
+        damping_control_.lambda());
     if (damping_control_.lambda() > 1e16) Finish(Termination::kStalled, why + ", and no damping helps");
   }
 

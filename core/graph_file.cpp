@@ -84,7 +84,8 @@ int Dimension(const std::string& path, const std::vector<GraphLine>& lines) {
     if (first == nullptr) first = &line;
     if (line.layout->dimension == first->layout->dimension) continue;
     throw FileError(path, line.line.number,
-                    "the file mixes 2D and 3D: " + std::string(line.layout->tag) + " after " + Describe(*first));
+                    "the file mixes 2D and 3D: " + std::string(line.layout->tag) + " after " + Describe(*first) +
+                        ", expected one kind in a file");
   }
   return first == nullptr ? 2 : first->layout->dimension;
 }
@@ -99,7 +100,8 @@ TagFamily Family(const std::string& path, const std::vector<GraphLine>& lines) {
     if (a == b) continue;
     if (a == TagFamily::kG2o || b == TagFamily::kG2o || (a != TagFamily::kToroOrIsam && b != TagFamily::kToroOrIsam)) {
       throw FileError(path, line.line.number,
-                      "the file mixes formats: " + std::string(line.layout->tag) + " after " + Describe(*first));
+                      "the file mixes formats: " + std::string(line.layout->tag) + " after " + Describe(*first) +
+                          ", expected one kind in a file");
     }
     if (a == TagFamily::kToroOrIsam) first = &line;
   }

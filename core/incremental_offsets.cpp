@@ -9,10 +9,12 @@
 #include "incremental_plan.h"
 #include "stopwatch.h"
 #include "terse/core/gauge.h"
+#include "terse/core/log_message.h"
 
 namespace terse {
 namespace {
 
+using internal::Log;
 using internal::ScopedTimer;
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
@@ -250,7 +252,11 @@ bool IncrementalSolver<Pose>::Relinearize(const std::map<int, Pose>& points, Rep
   changes.replaced = std::move(replaced);
   std::vector<int> slots;
   for (const auto& change : changes.replaced) slots.push_back(change.first);
-  if (!UpdateFactor(std::move(changes), report).ok) return false;
+  if (!UpdateFactor(std::move(changes), report).ok) {
+    Log(options_.log, LogLevel::kWarning, "step ", updates_, ": not positive definite at ", points.size(),
+        " new linearisation points, the old ones stay");
+    return false;
+  }
   for (const auto& factor : before) ChangeCosts(factor, -1);
   for (const auto& [v, T] : points) {
     linearization_points_[At(v)] = T;
@@ -284,7 +290,13 @@ bool IncrementalSolver<Pose>::RelinearizeWorst(double times, std::optional<Clock
     for (double share = 1; share >= kLeastShare; share /= 2) {
       double after = 0;
       for (const auto& change : replaced) after += change.second.residual.squaredNorm();
-      if (after <= kClimb * before) break;
+      if (after <= kClimb * before) {
+        if (share < 1) {
+          Log(options_.log, LogLevel::kInfo, "step ", updates_, ": far steps, ", points.size(),
+              " linearisation points go only ", share, " of the way");
+        }
+        break;
+      }
       for (auto& [v, T] : points) {
         const Eigen::Map<const Vector<B>> d(factor_.Solution().data() + At(v) * B);
         T = linearization_points_[At(v)].Retract(share / 2 * d);

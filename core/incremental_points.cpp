@@ -7,10 +7,12 @@
 #include "incremental_plan.h"
 #include "paper_flops.h"
 #include "stopwatch.h"
+#include "terse/core/log_message.h"
 
 namespace terse {
 namespace {
 
+using internal::Log;
 using internal::ScopedTimer;
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
@@ -128,9 +130,16 @@ bool IncrementalSolver<Pose>::MoveBy(Steps& steps, StepReport& report) {
       std::iota(all.begin(), all.end(), 0);
       steps = SolveSteps(&all, report);
       good = place(1);
+      Log(options_.log, LogLevel::kDebug, "step ", updates_, ": its part would raise chi2, the full step",
+          good ? " is taken" : " too");
     }
-    for (double share = 0.5; !good && share >= kLeastShare; share /= 2) good = place(share);
-    if (!good) return false;
+    double share = 1;
+    while (!good && share / 2 >= kLeastShare) good = place(share /= 2);
+    if (!good) {
+      Log(options_.log, LogLevel::kInfo, "step ", updates_, ": no part of the step lowers chi2, it is not taken");
+      return false;
+    }
+    if (share < 1) Log(options_.log, LogLevel::kDebug, "step ", updates_, ": shortened to ", share, " of itself");
   }
   if (!Relinearize(points, std::move(replaced), report)) return false;
   report.actual_decrease += before - after;

@@ -17,6 +17,7 @@
 #include "incremental_plan.h"
 #include "loop_contest.h"
 #include "path_solve.h"
+#include "terse/core/log_message.h"
 #include "terse/core/residual.h"
 
 namespace terse {
@@ -122,6 +123,8 @@ bool IncrementalSolver<Pose>::ChangeLoops(const Loops& in, const Loops& out, Ste
   const auto factored = UpdateFactor(changes, report);
   if (!factored.ok) return false;
   report.path = std::max(report.path, factored.path);
+  LogLoops(in, "in, weight ");
+  LogLoops(out, "out, weight was ");
   for (const auto& f : gone) ChangeCosts(f, -1);
   for (const auto& f : changes.added) ChangeCosts(f, 1);
   for (const Loop& loop : out) {
@@ -137,6 +140,19 @@ bool IncrementalSolver<Pose>::ChangeLoops(const Loops& in, const Loops& out, Ste
     Unpark(in[k].id);
   }
   return true;
+}
+
+template <class Pose>
+void IncrementalSolver<Pose>::LogLoops(const Loops& loops, const char* what) const {
+  if (!options_.log) return;
+  for (const Loop& loop : loops) {
+    const FactorPoses ends = PosesOf(graph_.FindFactor(loop.id)->factor);
+    const int slot = loop.slot;
+    const double weight = slot >= 0 ? weight_of_slot_[At(slot)] : loop.weight;
+    internal::Log(options_.log, weight < 1 || slot >= 0 ? LogLevel::kInfo : LogLevel::kDebug, "step ", updates_,
+                  ": loop ", ends.first.value, " - ", ends.second.value, " is ", what, weight, ", chi2 ",
+                  loop.residual.squaredNorm(), " (width^2 ", width_ * width_, ")");
+  }
 }
 
 template <class Pose>

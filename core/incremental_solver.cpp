@@ -8,14 +8,26 @@
 #include "incremental_plan.h"
 #include "stopwatch.h"
 #include "terse/core/error.h"
+#include "terse/core/log_message.h"
 #include "terse/core/residual.h"
 
 namespace terse {
 namespace {
 
+using internal::Log;
 using internal::ScopedTimer;
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+const char* NameForLog(FactorPath path) {
+  switch (path) {
+    case FactorPath::kNone: return "unchanged";
+    case FactorPath::kAppended: return "appended";
+    case FactorPath::kRankUpdate: return "updated by rank k";
+    case FactorPath::kRefactored: return "reordered and refactored";
+  }
+  return "unknown";
+}
 
 }  // namespace
 
@@ -30,6 +42,7 @@ IncrementalSolver<Pose>::IncrementalSolver(const IncrementalOptions& options) : 
 template <class Pose>
 StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   const auto start = Clock::now();
+  const bool was_deferred = deferred_;
   StepReport report;
   Validate(update);
   Plan plan;
@@ -57,7 +70,27 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   if (IsRobust()) ReviewLoops(start, report);
   if (report_cost) report.actual_decrease -= TimedChi2(report);
   report.seconds += std::chrono::duration<double>(Clock::now() - start).count();
+  LogStep(update, report, was_deferred);
   return report;
+}
+
+template <class Pose>
+void IncrementalSolver<Pose>::LogStep(const GraphUpdate<Pose>& update, const StepReport& report,
+                                      bool was_deferred) const {
+  if (!options_.log) return;
+  Log(options_.log, LogLevel::kDebug, "step ", updates_, ": ", update.poses.size(), " poses, ", update.factors.size(),
+      " factors, ", update.removed.size(), " removed; factor ", NameForLog(report.path), " (",
+      report.variables_refactored, " of ", factor_.Variables(), " poses refactored), gain ", report.gain_nats,
+      " nats; gate ", report.gate_open ? "open" : "closed", " at ", report.gate_value, " (threshold ",
+      options_.gate_threshold, "); ", report.iterations, " iterations, ", report.variables_relinearised,
+      " relinearised, ", report.variables_moved, " moved");
+  if (deferred_ && !was_deferred) {
+    Log(options_.log, LogLevel::kInfo, "step ", updates_, ": over its budget, ", report.deferred_relinearisations,
+        " relinearisations and ", report.deferred_fronts, " subtrees are left to later steps");
+  }
+  if (!deferred_ && was_deferred) {
+    Log(options_.log, LogLevel::kInfo, "step ", updates_, ": the work left by earlier steps is done");
+  }
 }
 
 // Chi2, its time taken off the step's.
@@ -149,7 +182,9 @@ double IncrementalSolver<Pose>::Chi2() const {
 }
 
 template <class Pose>
-BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
+BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& given) {
+  BatchOptions options = given;
+  if (!options.log) options.log = options_.log;
   BatchResult<Pose> result = IsRobust() ? SolveRobustBatch(options) : SolveBatch(graph_, Estimates(), options);
   if (result.termination == Termination::kNotPositiveDefinite) return result;
   if (IsRobust()) TakeWeights(result.weights);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <limits>
 
+#include "terse/core/log_message.h"
 #include "terse/core/state_members.h"
 
 namespace terse {
@@ -144,8 +145,12 @@ void IncrementalSolver<Pose>::Save(const std::string& path) const {
 }
 
 template <class Pose>
-IncrementalSolver<Pose> IncrementalSolver<Pose>::Load(const std::string& path) {
-  return LoadState<IncrementalSolver>(path, StateKind<Pose>("incremental solver"));
+IncrementalSolver<Pose> IncrementalSolver<Pose>::Load(const std::string& path, LogSink log) {
+  IncrementalSolver solver = LoadState<IncrementalSolver>(path, StateKind<Pose>("incremental solver"));
+  solver.SetLog(std::move(log));
+  internal::Log(solver.options_.log, LogLevel::kInfo, "restored from ", path, ": ", solver.graph_.Poses().size(),
+                " poses, ", solver.graph_.Factors().size(), " factors after ", solver.updates_, " steps");
+  return solver;
 }
 
 #define TERSE_INSTANTIATE(Pose)                                          \
@@ -154,7 +159,7 @@ IncrementalSolver<Pose> IncrementalSolver<Pose>::Load(const std::string& path) {
   template void IncrementalSolver<Pose>::Serialize(StateWriter&);        \
   template void IncrementalSolver<Pose>::Serialize(StateReader&);        \
   template void IncrementalSolver<Pose>::Save(const std::string&) const; \
-  template IncrementalSolver<Pose> IncrementalSolver<Pose>::Load(const std::string&);
+  template IncrementalSolver<Pose> IncrementalSolver<Pose>::Load(const std::string&, LogSink);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

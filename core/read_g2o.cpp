@@ -60,7 +60,7 @@ Factor<Pose> FactorFields(const Fields& fields, TagKind kind, const ReadOptions&
   const int first = kDim == 3 ? 3 : 2;
   if (kDim == 3 && offsets.count(fields.Integer(2, "parameter id")) != 0) {
     throw fields.Error("a prior with a sensor offset (PARAMS_SE3OFFSET " + std::string(fields.Text(2)) +
-                       " is not the identity): not supported");
+                       " is not the identity): not supported, expected the identity");
   }
   return PosePriorFactor<Pose>{IdField(fields, 1), PoseFields<Pose>(fields, first), information(first + kPose)};
 }
@@ -120,7 +120,8 @@ GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines, 
 
 template <class Pose>
 MeasurementLine<Pose> MeasurementLineReader<Pose>::Read(std::string_view text, long number) {
-  if (text.find('\0') != std::string_view::npos) throw FileError(source_, number, "the line holds a zero byte");
+  if (text.find('\0') != std::string_view::npos)
+    throw FileError(source_, number, "the line holds a zero byte, expected text");
   Fields fields(source_);
   fields.Split({number, text});
   const std::string_view tag = fields.Count() > 0 ? fields.Text(0) : std::string_view();
@@ -129,7 +130,8 @@ MeasurementLine<Pose> MeasurementLineReader<Pose>::Read(std::string_view text, l
     throw fields.Error("expected a tag of the g2o format, the line starts with " + Quoted(tag));
   }
   if (layout->dimension != 0 && layout->dimension != Pose::kDim) {
-    throw fields.Error(std::string(tag) + " in a run in " + std::to_string(Pose::kDim) + "D");
+    throw fields.Error(std::string(tag) + " in a run in " + std::to_string(Pose::kDim) +
+                       "D, expected tags of that dimension");
   }
   MeasurementLine<Pose> line = ParseG2oLine<Pose>(fields, *layout, options_, offsets_);
   if (auto* factor = std::get_if<Factor<Pose>>(&line)) RepairInformation(fields, options_, *factor);

@@ -31,7 +31,7 @@ template <class Pose>
 void ExpectConnected(const PoseGraph<Pose>& graph, const std::string& path) {
   const std::size_t poses = graph.Poses().size();
   if (poses > 1 && graph.Factors().empty()) {
-    throw FileError(path, 0, "the graph has " + std::to_string(poses) + " poses but no edges");
+    throw FileError(path, 0, "the graph has " + std::to_string(poses) + " poses but no edges, expected at least one");
   }
   const std::vector<std::vector<int>> components = ConnectedComponents(graph);
   if (components.size() <= 1) return;
@@ -43,7 +43,7 @@ void ExpectConnected(const PoseGraph<Pose>& graph, const std::string& path) {
     std::sort(ids.begin(), ids.end());
     cause += (i > 0 ? ", " : "") + Describe(ids);
   }
-  throw FileError(path, 0, cause + (components.size() > kMostListed ? ", ..." : ""));
+  throw FileError(path, 0, cause + (components.size() > kMostListed ? ", ..." : "") + "; expected one");
 }
 
 }  // namespace
@@ -115,7 +115,7 @@ bool RepairInformation(const Fields& fields, const ReadOptions& options, Factor<
 template <class Pose>
 void GraphBuilder<Pose>::AddVertex(const Fields& fields, const Pose& T_world_body) {
   const PoseId id = IdField(fields, 1);
-  if (graph_.HasPose(id)) throw fields.Error("a second vertex line of " + Name(id));
+  if (graph_.HasPose(id)) throw fields.Error("a second vertex line of " + Name(id) + ", expected one at most");
   graph_.AddPose(id, T_world_body);
 }
 
@@ -137,7 +137,8 @@ template <class Pose>
 void GraphBuilder<Pose>::AddFactor(const Fields& fields, Factor<Pose> factor) {
   const FactorPoses ends = PosesOf(factor);
   if (!graph_.HasPose(ends.first)) {
-    throw fields.Error("a prior on " + Name(ends.first) + ", which no vertex and no edge names");
+    throw fields.Error("a prior on " + Name(ends.first) +
+                       ", which no vertex and no edge names; expected a line that does");
   }
   if (RepairInformation(fields, options_, factor)) ++repaired_informations_;
   graph_.AddFactor(factor);
@@ -147,7 +148,8 @@ template <class Pose>
 void GraphBuilder<Pose>::Fix(const Fields& fields) {
   for (int i = 1; i < fields.Count(); ++i) {
     const PoseId id = IdField(fields, i);
-    if (!graph_.HasPose(id)) throw fields.Error("FIX of " + Name(id) + ", which no vertex and no edge names");
+    if (!graph_.HasPose(id))
+      throw fields.Error("FIX of " + Name(id) + ", which no vertex and no edge names; expected a line that does");
     graph_.SetFixed(id, true);
   }
 }

@@ -36,7 +36,7 @@ std::string ReadAll(const std::string& path) {
   std::error_code error;
   const fs::file_status status = fs::status(path, error);
   if (status.type() == fs::file_type::not_found) throw FileError(path, 0, "the file does not exist");
-  if (fs::is_directory(status)) throw FileError(path, 0, "cannot read: it is a folder");
+  if (fs::is_directory(status)) throw FileError(path, 0, "cannot read: it is a folder, expected a file");
   const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
   if (descriptor < 0) throw FileError(path, 0, "cannot read: " + std::system_category().message(errno));
   std::string content;
@@ -67,7 +67,7 @@ TextFile::TextFile(const std::string& path) : path_(path), content_(ReadAll(path
     for (std::size_t i = 0; i < nul; ++i) line += content_[i] == '\n';
     throw FileError(path, line, "a binary file (it holds a zero byte), expected text");
   }
-  if (content_.empty()) throw FileError(path, 0, "the file is empty");
+  if (content_.empty()) throw FileError(path, 0, "the file is empty, expected lines of text");
 }
 
 std::vector<TextLine> TextFile::Lines() const {
@@ -118,16 +118,17 @@ FileError Fields::FieldError(int i, const char* name, const std::string& cause) 
 double Fields::Number(int i, const char* name) const {
   double value = 0;
   const std::errc error = Parse(Text(i), &value);
-  if (error == std::errc::invalid_argument) throw FieldError(i, name, "not a number");
-  if (error == std::errc::result_out_of_range) throw FieldError(i, name, "beyond the range of a double");
-  if (!std::isfinite(value)) throw FieldError(i, name, "not finite");
+  if (error == std::errc::invalid_argument) throw FieldError(i, name, "not a number, expected a decimal one");
+  if (error == std::errc::result_out_of_range)
+    throw FieldError(i, name, "beyond the range of a double, expected less than 1.8e308");
+  if (!std::isfinite(value)) throw FieldError(i, name, "not finite, expected a finite number");
   return value;
 }
 
 std::int64_t Fields::Integer(int i, const char* name) const {
   std::int64_t value = 0;
   const std::errc error = Parse(Text(i), &value);
-  if (error == std::errc::invalid_argument) throw FieldError(i, name, "not an integer");
+  if (error == std::errc::invalid_argument) throw FieldError(i, name, "not an integer, expected a whole number");
   if (error == std::errc::result_out_of_range) throw FieldError(i, name, "beyond a signed 64-bit integer");
   return value;
 }

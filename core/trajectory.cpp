@@ -49,7 +49,7 @@ Trajectory ReadTum(const std::string& path, const std::vector<TextLine>& lines) 
     if (!out.stamps.empty() && stamp <= out.stamps.back()) {
       const bool repeated = stamp == out.stamps.back();
       throw fields.Error("stamp " + Shortest(stamp) + (repeated ? " is there already" : " is before the last one, ") +
-                         (repeated ? "" : Shortest(out.stamps.back())));
+                         (repeated ? "" : Shortest(out.stamps.back())) + ", expected ascending stamps");
     }
     out.T_world_body.push_back(TumPose(fields));
     out.stamps.push_back(stamp);
@@ -65,9 +65,10 @@ SE3 KittiPose(const Fields& fields) {
   const Eigen::Matrix3d R = M.leftCols<3>();
   const double error = (R.transpose() * R - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
   if (!(error <= kMatrixTolerance)) {
-    throw fields.Error("the matrix is not a rotation: R^T R differs from the identity by " + Rounded(error));
+    throw fields.Error("the matrix is not a rotation: R^T R differs from the identity by " + Rounded(error) +
+                       ", expected 0");
   }
-  if (R.determinant() < 0) throw fields.Error("the matrix is a reflection, not a rotation");
+  if (R.determinant() < 0) throw fields.Error("the matrix is a reflection, expected a rotation");
   // Files have about seven digits: the nearest rotation in the Frobenius norm.
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(R, Eigen::ComputeFullU | Eigen::ComputeFullV);
   return SE3(SO3::FromMatrix(svd.matrixU() * svd.matrixV().transpose()), M.col(3));
@@ -95,14 +96,17 @@ Trajectory FromGraph(const std::string& path, const PoseGraph<Pose>& graph) {
   for (const auto& node : graph.Poses()) {
     if (node.T_world_body) poses.emplace_back(node.id, InSpace(*node.T_world_body));
   }
-  if (poses.empty()) throw FileError(path, 0, "the graph has edges but no vertex values");
+  if (poses.empty())
+    throw FileError(path, 0, "the graph has edges but no vertex values, expected a vertex line for every pose");
   std::sort(poses.begin(), poses.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
   Trajectory out;
   out.format = TrajectoryFormat::kGraph;
   for (const auto& [id, T_world_body] : poses) {
     const double stamp = static_cast<double>(id.value);
     if (!out.stamps.empty() && stamp <= out.stamps.back()) {
-      throw FileError(path, 0, "pose " + std::to_string(id.value) + ": ids beyond 2^53 cannot be told apart");
+      throw FileError(
+          path, 0,
+          "pose " + std::to_string(id.value) + ": ids beyond 2^53 cannot be told apart, expected smaller ones");
     }
     out.stamps.push_back(stamp);
     out.T_world_body.push_back(T_world_body);
@@ -125,7 +129,9 @@ SE3 Lift(const SE2& T_a_b) {
 Trajectory ReadTrajectory(const std::string& path) {
   const TextFile file(path);
   const std::vector<TextLine> lines = file.Lines();
-  if (lines.empty()) throw FileError(path, 0, "no poses: the file holds blank lines and comments only");
+  if (lines.empty())
+    throw FileError(path, 0,
+                    "no poses: the file holds blank lines and comments only, expected a trajectory or a graph");
   if (!IsNumber(FirstField(lines.front().text))) {
     return std::visit([&](const auto& graph) { return FromGraph(path, graph); }, ReadGraph(path).graph);
   }

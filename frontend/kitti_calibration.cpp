@@ -48,7 +48,8 @@ KittiCalibration ReadKittiCalibration(const std::string& path, KittiPair pair) {
     if (name == right_name) right = ParseProjection(fields);
   }
   for (const auto& [projection, name] : {std::pair(&left, &left_name), std::pair(&right, &right_name)}) {
-    if (!*projection) throw FileError(path, 0, "no line " + *name + ": with the projection of a camera");
+    if (!*projection)
+      throw FileError(path, 0, "no line " + *name + ": with the projection of a camera, expected 12 numbers");
   }
   const auto fail = [&](const std::string& cause) { throw FileError(path, right->line, cause); };
   if (!Near(left->fx, right->fx) || !Near(left->fy, right->fy)) {

@@ -31,17 +31,19 @@ const char* Folder(KittiPair pair, bool right) {
 
 KittiPair FindPair(const std::string& directory) {
   std::error_code error;
-  if (!fs::exists(directory, error)) throw FileError(directory, 0, "the folder does not exist");
+  if (!fs::exists(directory, error))
+    throw FileError(directory, 0, "the folder does not exist, expected a KITTI sequence");
   if (!fs::is_directory(directory, error)) throw FileError(directory, 0, "not a folder; a KITTI sequence is one");
   for (const KittiPair pair : {KittiPair::kGrey, KittiPair::kColour}) {
     for (const bool right : {false, true}) {
       if (!fs::is_directory(Join(directory, Folder(pair, right)), error)) continue;
       const std::string other = Join(directory, Folder(pair, !right));
-      if (!fs::is_directory(other, error)) throw FileError(other, 0, "the folder does not exist");
+      if (!fs::is_directory(other, error))
+        throw FileError(other, 0, "the folder does not exist, expected the other camera's images");
       return pair;
     }
   }
-  throw FileError(directory, 0, "holds neither image_0 and image_1 nor image_2 and image_3");
+  throw FileError(directory, 0, "holds neither image_0 and image_1 nor image_2 and image_3, expected one pair");
 }
 
 std::vector<std::string> ListImages(const std::string& folder) {
@@ -53,7 +55,7 @@ std::vector<std::string> ListImages(const std::string& folder) {
   } catch (const fs::filesystem_error& error) {
     throw FileError(folder, 0, error.code().message());
   }
-  if (names.empty()) throw FileError(folder, 0, "holds no PNG images");
+  if (names.empty()) throw FileError(folder, 0, "holds no PNG images, expected 000000.png and so on");
   std::sort(names.begin(), names.end());
   return names;
 }
@@ -78,11 +80,13 @@ std::vector<double> ReadTimes(const std::string& path, std::size_t images) {
     fields.Split(line);
     if (fields.Count() != 1) throw fields.Error("expected one time per line, in seconds");
     times.push_back(fields.Number(0, "the time"));
-    if (times.size() > 1 && times.back() < times[times.size() - 2]) throw fields.Error("the time runs backwards");
+    if (times.size() > 1 && times.back() < times[times.size() - 2])
+      throw fields.Error("the time runs backwards, expected ascending times");
   }
   if (times.size() != images) {
-    throw FileError(path, 0,
-                    std::to_string(times.size()) + " times for " + std::to_string(images) + " pairs of images");
+    throw FileError(
+        path, 0,
+        std::to_string(times.size()) + " times for " + std::to_string(images) + " pairs of images, expected as many");
   }
   return times;
 }

@@ -114,7 +114,7 @@ std::vector<png_bytep> Rows(cv::Mat& image) {
 }
 
 FileError ReadError(const std::string& path, const Transfer& transfer) {
-  if (transfer.cut_off) return FileError(path, 0, "the PNG image is cut off");
+  if (transfer.cut_off) return FileError(path, 0, "the PNG image is cut off, expected more bytes");
   return FileError(path, 0, std::string("the PNG image cannot be decoded: ") + transfer.message);
 }
 
@@ -125,7 +125,7 @@ cv::Mat ReadGreyPng(const std::string& path) {
   const std::string bytes = ReadAll(path);
   const auto* begin = reinterpret_cast<const png_byte*>(bytes.data());
   if (bytes.size() < kSignatureSize || png_sig_cmp(begin, 0, kSignatureSize) != 0) {
-    throw FileError(path, 0, "not a PNG image");
+    throw FileError(path, 0, "not a PNG image, expected one");
   }
   Reader reader;
   if (reader.info == nullptr) throw std::bad_alloc();

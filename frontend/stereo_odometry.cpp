@@ -7,6 +7,7 @@
 #include "feature_tracks.h"
 #include "frame_quality.h"
 #include "lap_timer.h"
+#include "terse/core/log_message.h"
 #include "track_measurement.h"
 
 namespace terse {
@@ -27,6 +28,7 @@ class StereoOdometry::State {
       : camera_(camera), options_(options), window_(camera, options) {}
 
   OdometryStep Track(const StereoFrame& frame);
+  const StereoOdometryOptions& Options() const { return options_; }
   const OffsetEstimate& Offset() const { return window_.Offset(); }
   std::vector<Vector<3>> TrackedPoints() const { return started_ ? window_.Points() : std::vector<Vector<3>>(); }
 
@@ -265,7 +267,19 @@ StereoOdometry::~StereoOdometry() = default;
 StereoOdometry::StereoOdometry(StereoOdometry&&) noexcept = default;
 StereoOdometry& StereoOdometry::operator=(StereoOdometry&&) noexcept = default;
 
-OdometryStep StereoOdometry::Track(const StereoFrame& frame) { return state_->Track(frame); }
+OdometryStep StereoOdometry::Track(const StereoFrame& frame) {
+  OdometryStep step = state_->Track(frame);
+  const LogSink& log = state_->Options().log;
+  if (step.status == TrackingStatus::kLost) {
+    internal::Log(log, LogLevel::kWarning, "frame ", frame.index, " lost: ", step.reason, "; ", step.tracked,
+                  " tracks, ", step.inliers, " agree; constant velocity instead");
+  } else {
+    internal::Log(log, step.reason.empty() ? LogLevel::kDebug : LogLevel::kInfo, "frame ", frame.index, " ",
+                  ToString(step.status), step.keyframe ? ", keyframe" : "", ": ", step.tracked, " tracks, ",
+                  step.inliers, " agree to ", step.residual_scale, " px", step.reason.empty() ? "" : "; ", step.reason);
+  }
+  return step;
+}
 double StereoOdometry::DisparityOffset() const { return state_->Offset().Offset(); }
 double StereoOdometry::DisparityOffsetSigma() const { return std::sqrt(state_->Offset().Variance()); }
 std::vector<Vector<3>> StereoOdometry::TrackedPoints() const { return state_->TrackedPoints(); }

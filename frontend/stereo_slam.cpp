@@ -6,6 +6,7 @@
 #include <string>
 
 #include "lap_timer.h"
+#include "terse/core/log_message.h"
 
 namespace terse {
 namespace {
@@ -21,6 +22,13 @@ CompactOptions<SE3> MapOptions(const StereoSlamOptions& options, bool by_appeara
     throw std::invalid_argument("stereo options: a random selection needs a graph that is known beforehand");
   }
   if (by_appearance) out.strategy = Strategy::kApal;
+  if (!out.log) out.log = options.log;
+  return out;
+}
+
+StereoOdometryOptions OdometryOptions(const StereoSlamOptions& options) {
+  StereoOdometryOptions out = options.odometry;
+  if (!out.log) out.log = options.log;
   return out;
 }
 
@@ -41,7 +49,7 @@ CompactOptions<SE3> StereoCompactOptions() {
 StereoSlam::StereoSlam(const StereoCamera& camera, const StereoSlamOptions& options,
                        std::optional<AppearanceSearch> appearance)
     : options_(options),
-      odometry_(camera, options.odometry),
+      odometry_(camera, OdometryOptions(options)),
       verifier_(camera, options.verifier),
       map_(MapOptions(options, appearance.has_value())),
       appearance_(std::move(appearance)) {
@@ -83,6 +91,9 @@ std::optional<RelativePoseFactor<SE3>> StereoSlam::Register(PoseId candidate, Po
   step.times.verification += attempt.milliseconds;
   const LoopVerification& v = attempt.verification;
   step.attempts.push_back(attempt);
+  internal::Log(options_.log, v.Verified() ? LogLevel::kInfo : LogLevel::kDebug, "loop ", candidate.value, " - ",
+                current.value, " ", v.Verified() ? "" : "refused: ", Name(v.outcome), "; ", v.matches, " matches, ",
+                v.agreeing, " agree, ", v.inliers, " inliers, ", 100 * v.confirmed, " % of the points confirmed");
   if (!v.Verified()) return std::nullopt;
   return Link(candidate, current, v.T_candidate_current, v.covariance);
 }

@@ -24,7 +24,7 @@ void MakeImageFolder(const fs::path& folder) {
   fs::create_directories(folder, error);
   if (error) throw FileError(folder.string(), 0, "cannot make the folder: " + error.message());
   if (fs::directory_iterator(folder, error) != fs::directory_iterator()) {
-    throw FileError(folder.string(), 0, "the folder is not empty");
+    throw FileError(folder.string(), 0, "the folder is not empty, expected a new or an empty one");
   }
 }
 

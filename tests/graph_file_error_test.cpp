@@ -284,5 +284,40 @@ TEST(GraphFileErrorTest, MutatedFilesAreReadOrRefused) {
   EXPECT_GT(refused, 500);
 }
 
+// Of every kind of refusal one: it says what there should have been.
+TEST(GraphFileErrorTest, EveryRefusalSaysWhatWasExpected) {
+  const std::string good = Edge2("0", "1"), unit = "EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1" + std::string(kUnit6);
+  const std::vector<std::string> contents = {
+      "",
+      "# nothing\n",
+      std::string("EDGE_SE2 0 1\0", 13),
+      "some words\n",
+      "1 2 3\n" + good,
+      good + "EDGE_SE2 1 2 x 0 0" + kUnit3,
+      good + "EDGE_SE2 1 2 nan 0 0" + kUnit3,
+      good + "EDGE_SE2 1 2 1e999 0 0" + kUnit3,
+      good + "EDGE_SE2 1 b 0 0 0" + kUnit3,
+      good + "EDGE_SE2 1 2\n",
+      good + "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 0 0 0 0\n",
+      good + "FIX 7\n",
+      good + unit,
+      "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\n",
+      good + Edge2("5", "6"),
+      unit + "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 2\n",
+  };
+  for (const std::string& content : contents) {
+    const TestFile file("broken.graph", content);
+    try {
+      ReadGraph(file.Path());
+      ADD_FAILURE() << "accepted: " << content;
+    } catch (const FileError& error) {
+      const std::string what = error.what();
+      const bool says = what.find("expected") != std::string::npos || what.find("instead of") != std::string::npos ||
+                        what.find(" takes ") != std::string::npos;
+      EXPECT_TRUE(says) << what;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace terse

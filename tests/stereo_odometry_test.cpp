@@ -157,6 +157,24 @@ TEST(StereoOdometry, ADarkFrameIsBridged) {
   EXPECT_LT(Difference(run.T_first_last, Truth(7)).translation, 0.02 * 7 * kStep);
 }
 
+TEST(StereoOdometry, TellsItsLog) {
+  std::vector<std::string> warnings, others;
+  StereoOdometryOptions options = SmallOptions();
+  options.log = [&](LogLevel level, std::string_view text) {
+    (level == LogLevel::kWarning ? warnings : others).emplace_back(text);
+  };
+  StereoOdometry odometry(kSmallCamera, options);
+  odometry.Track(Frame(0));
+  odometry.Track(Frame(1));
+  StereoFrame dark = Frame(2);
+  dark.left = cv::Mat::zeros(dark.left.size(), CV_8UC1);
+  odometry.Track(dark);
+  ASSERT_EQ(warnings.size(), 1u);
+  EXPECT_NE(warnings[0].find("frame 2 lost: dark"), std::string::npos) << warnings[0];
+  ASSERT_EQ(others.size(), 2u);
+  EXPECT_NE(others[1].find("frame 1 tracked"), std::string::npos) << others[1];
+}
+
 TEST(StereoOdometry, StartsAfreshWhereNothingFits) {
   std::vector<StereoFrame> frames = Frames({0, 1, 2, 3});
   for (int k = 0; k < 3; ++k) {

@@ -67,7 +67,8 @@ std::string BashCompletion(const CLI::App& app) {
   std::vector<const CLI::App*> all;
   Collect(app, all);
   std::ostringstream out;
-  out << "# Completion of terse " TERSE_VERSION " in bash, printed by `terse --print-completion`.\n"
+  out << "# Completion of terse " TERSE_VERSION
+         " in bash, printed by `terse --print-completion`.\n"
          "_terse() {\n"
          "  local current=${COMP_WORDS[COMP_CWORD]} option=${COMP_WORDS[COMP_CWORD - 1]}\n"
          "  local path='' words='' options='' files='' i\n"

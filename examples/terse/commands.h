@@ -46,6 +46,9 @@ CLI::Option* AddSampleOption(CLI::App& subcommand, std::optional<double>& share)
 // --seed.
 void AddSeedOption(CLI::App& subcommand, std::uint64_t& seed, const std::string& description);
 
+// One of these names, else the nearest is suggested; of these and `also`, which is suggested only.
+CLI::Validator OneOf(const std::vector<std::string>& names, const std::vector<std::string>& also = {});
+
 // Checks of an option's value that refuse nan, which CLI's own let pass.
 CLI::Validator NumberIn(double low, double high);
 CLI::Validator PositiveNumber();
@@ -71,7 +74,7 @@ CLI::Option* AddChoice(CLI::App& subcommand, const std::string& option, Value& t
     }
   };
   return subcommand.add_option_function<std::string>(option, set, description)
-      ->check(CLI::IsMember(names).description(""))  // the type name lists them already
+      ->check(OneOf(names).description(""))  // the type name lists them already
       ->type_name(list)
       ->default_str(preset);
 }

@@ -86,6 +86,18 @@ void AddSeedOption(CLI::App& subcommand, std::uint64_t& seed, const std::string&
       ->capture_default_str();
 }
 
+CLI::Validator OneOf(const std::vector<std::string>& names, const std::vector<std::string>& also) {
+  const std::string list = "{" + CLI::detail::join(names, ",") + "}";
+  const auto find_defect = [names, also, list](const std::string& text) -> std::string {
+    if (std::find(names.begin(), names.end(), text) != names.end()) return "";
+    std::vector<std::string> known = names;
+    known.insert(known.end(), also.begin(), also.end());
+    const std::string nearest = NearestName(text, known);
+    return text + " not in " + list + (nearest.empty() ? "" : "; did you mean " + nearest + "?");
+  };
+  return CLI::Validator(find_defect, list);
+}
+
 CLI::Validator NumberIn(double low, double high) {
   const auto find_defect = [low, high](const std::string& text) -> std::string {
     double value = 0;

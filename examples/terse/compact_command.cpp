@@ -10,6 +10,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "thresholds_file.h"
+#include "verbose.h"
 
 namespace terse {
 namespace {
@@ -33,6 +34,7 @@ struct CompactCommandOptions {
   std::uint64_t seed = 1;
   Recovery recovery = Recovery::kV2;
   bool quiet = false;
+  LogSink log;
 };
 
 // Usage, though only the file tells how many numbers are right.
@@ -56,6 +58,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.composition = from.composition;
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
+  options.log = from.log;
   options.link_covariance = replay.LinkCovariance();
   options.probability = from.probability.value_or(options.probability);
   const bool complete = !from.range.empty() && from.min_loop_gain && from.min_pose_gain;
@@ -279,10 +282,12 @@ void AddCompactCommand(CLI::App& app) {
       ->required()
       ->type_name("DIR");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
+  AddVerboseOption(*command, options->log);
   command->footer(
-      "Example: terse generate sphere --output sphere.g2o --ground-truth sphere.tum &&\n"
-      "         terse compact sphere.g2o --strategy fpfl --ground-truth sphere.tum --output sphere_fpfl\n"
-      "         terse compact longer.g2o --continue sphere_fpfl --output longer_fpfl");
+      "Example: terse generate ellipse-n --laps 3 --output laps.g2o --ground-truth laps.tum &&\n"
+      "         terse compact laps.g2o --strategy fpfl --ground-truth laps.tum --output laps_fpfl &&\n"
+      "         terse generate ellipse-n --laps 4 --output longer.g2o &&\n"
+      "         terse compact longer.g2o --continue laps_fpfl --output longer_fpfl");
   command->callback([options] { Compact(*options); });
 }
 

@@ -68,7 +68,9 @@ std::string FindGraphFile(const CompactGraphName& name, const std::string& folde
     const bool is_named = stem == name.name || std::count(name.other_names.begin(), name.other_names.end(), stem) != 0;
     if (is_named && (extension == ".g2o" || extension == ".graph")) found.push_back(it->path().string());
   }
-  if (found.empty()) throw FileError((fs::path(folder) / (name.name + ".g2o")).string(), 0, "no such file, nor below");
+  if (found.empty())
+    throw FileError((fs::path(folder) / (name.name + ".g2o")).string(), 0,
+                    "no such file, nor below, expected a .g2o or .graph of this name");
   return *std::min_element(found.begin(), found.end());
 }
 

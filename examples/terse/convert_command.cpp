@@ -29,7 +29,10 @@ template <class Pose>
 Trajectory ValuesOf(const PoseGraph<Pose>& graph, const std::string& path) {
   std::vector<std::pair<PoseId, SE3>> values;
   for (const auto& pose : graph.Poses()) {
-    if (!pose.T_world_body) throw FileError(path, 0, "pose " + std::to_string(pose.id.value) + " has no value");
+    if (!pose.T_world_body)
+      throw FileError(
+          path, 0,
+          "pose " + std::to_string(pose.id.value) + " has no value, expected a vertex line; solve writes them");
     if constexpr (Pose::kDim == 2) {
       values.emplace_back(pose.id, Lift(*pose.T_world_body));
     } else {
@@ -61,7 +64,8 @@ void Convert(const ConvertOptions& options) {
     to_tum ? WriteTum(trajectory, options.output) : WriteKitti(trajectory, options.output);
     return;
   }
-  if (from_trajectory) throw FileError(options.input, 0, "a trajectory has no edges to make a graph of");
+  if (from_trajectory)
+    throw FileError(options.input, 0, "a trajectory has no edges to make a graph of, expected a graph");
   const GraphFile file = ReadGraph(options.input, options.read);
   std::visit(
       [&](const auto& graph) {
@@ -82,7 +86,9 @@ void AddConvertCommand(CLI::App& app) {
                    "information in a .g2o is written as g2o defines it")
       ->required();
   AddReadOptions(*command, options->read);
-  command->footer("Example: terse convert sphere2500.g2o sphere2500.tum");
+  command->footer(
+      "Example: terse generate sphere --poses 400 --output sphere.g2o &&\n"
+      "         terse convert sphere.g2o sphere.tum");
   command->callback([options] { Convert(*options); });
 }
 

@@ -10,6 +10,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/initial_values.h"
 #include "terse/covariance/marginals.h"
+#include "verbose.h"
 
 namespace terse {
 namespace {
@@ -25,6 +26,7 @@ struct CovarianceCommandOptions {
   ReadOptions read;
   CovarianceConvention convention;
   bool joint = false, solve = false, json = false, quiet = false;
+  LogSink log;
 };
 
 PoseId ParseId(const std::string& text, const std::string& option) {
@@ -75,6 +77,7 @@ template <class Pose>
 Point<Pose> SolvedPoint(const PoseGraph<Pose>& graph, const CovarianceCommandOptions& options) {
   Progress progress("iterations", 0, options.quiet);
   BatchOptions batch;
+  batch.log = options.log;
   batch.progress = [&](int iteration, double) {
     progress.Update(iteration);
     return true;
@@ -257,6 +260,7 @@ void AddCovarianceCommand(CLI::App& app) {
   command->add_option("--output", options->output, "Where the covariances go (standard output by default)")
       ->type_name("PATH");
   command->add_flag("--quiet", options->quiet, "Print no warnings");
+  AddVerboseOption(*command, options->log);
   command->footer(
       "Example: terse generate ellipse --output ellipse.g2o &&\n"
       "         terse covariance ellipse.g2o --solve --ids 1,5,9 --joint --json");

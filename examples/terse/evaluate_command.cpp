@@ -78,12 +78,15 @@ void AddEvaluateCommand(CLI::App& app) {
   command->add_option("ESTIMATE", options->estimate, "TUM, KITTI or graph file")->required();
   command->add_option("REFERENCE", options->reference, "TUM, KITTI or graph file")->required();
   command->add_option("--align", options->alignment, "How the estimate is laid over the reference for ATE")
-      ->check(CLI::IsMember({"se3", "se2", "none"}))
+      ->check(OneOf({"se3", "se2", "none"}))
       ->type_name("NAME")
       ->capture_default_str();
   command->add_flag("--kitti", options->kitti, "Add KITTI's t_rel and r_rel over 100 to 800 m");
   command->add_flag("--json", options->json, "Print JSON");
-  command->footer("Example: terse evaluate estimate.tum ground_truth.tum --align se3 --json");
+  command->footer(
+      "Example: terse generate ellipse --output ellipse.g2o --ground-truth truth.tum &&\n"
+      "         terse solve ellipse.g2o --trajectory estimate.tum &&\n"
+      "         terse evaluate estimate.tum truth.tum --align se3 --json");
   command->callback([options] { RunEvaluate(*options); });
 }
 

@@ -190,12 +190,13 @@ void AddGenerateCommand(CLI::App& app) {
   auto options = std::make_shared<GenerateCommandOptions>();
   CLI::App* command = app.add_subcommand(
       "generate", "Make a synthetic data set with exact ground truth, or add wrong loops to a graph file");
-  CLI::Option* scene = command
-                           ->add_option("SCENE", options->scene,
-                                        "ellipse (170 poses), ellipse-n (laps of an ellipse), sphere (2500), torus "
-                                        "(5000), manhattan (2D, 3500) or garage (1661)")
-                           ->check(CLI::IsMember({"ellipse", "ellipse-n", "sphere", "torus", "manhattan", "garage"}))
-                           ->type_name("NAME");
+  CLI::Option* scene =
+      command
+          ->add_option("SCENE", options->scene,
+                       "ellipse (170 poses), ellipse-n (laps of an ellipse), sphere (2500), torus "
+                       "(5000), manhattan (2D, 3500) or garage (1661)")
+          ->check(OneOf({"ellipse", "ellipse-n", "sphere", "torus", "manhattan", "garage"}, {"stereo"}))
+          ->type_name("NAME");
   CLI::Option* poses =
       command->add_option("--poses", options->generate.poses, "Number of poses instead of the scene's own")
           ->check(CLI::Range(2L, 1000000000L).description(""))
@@ -229,7 +230,7 @@ void AddGenerateCommand(CLI::App& app) {
   AddReadOptions(*command, options->read);
   command->add_flag("--quiet", options->quiet, "No progress line");
   command->footer(
-      "Example: terse generate manhattan --poses 10000 --output city.g2o --ground-truth city.tum\n"
+      "Example: terse generate manhattan --poses 1000 --output city.g2o --ground-truth city.tum &&\n"
       "         terse generate --from city.g2o --outliers 10 --outliers-list wrong.csv --output wrong.g2o");
   AddGenerateStereo(*command);
   command->callback([command, options] {

@@ -77,7 +77,9 @@ void AddInfoCommand(CLI::App& app) {
   command->add_option("FILE", options->path, "The graph file")->required();
   AddReadOptions(*command, options->read);
   command->add_flag("--json", options->json, "Print JSON");
-  command->footer("Example: terse info sphere2500.g2o --json");
+  command->footer(
+      "Example: terse generate sphere --poses 400 --output sphere.g2o &&\n"
+      "         terse info sphere.g2o --json");
   command->callback([options] { Info(*options); });
 }
 

@@ -8,6 +8,7 @@
 #include "kitti_run.h"
 #include "terse/core/error.h"
 #include "thresholds_file.h"
+#include "verbose.h"
 
 namespace terse {
 namespace {
@@ -24,6 +25,7 @@ struct KittiCommandOptions {
   Strategy strategy = Strategy::kFpfl;
   Search search = Search::kInformation;
   bool quiet = false;
+  LogSink log;
 };
 
 std::optional<int> ParseNumber(const std::string& text) {
@@ -68,6 +70,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
   how.truth = truth;
+  how.slam.log = options.log;
   LoopsFile loops(folder + "/loops.csv");
   how.after_step = [&](const StereoSlamStep& step) { loops.Add(step); };
   Outcome out{RunKitti(sequence, frames, how), std::nullopt};
@@ -129,7 +132,10 @@ void AddKittiCommand(CLI::App& app) {
             "Where loop candidates come from: distance and information, or a vocabulary of visual words, which keeps "
             "all poses and verified loops; both: one after the other, and a comparison");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
-  command->footer("Example: terse kitti sequences/06 --output kitti_06 --ground-truth poses/06.txt");
+  AddVerboseOption(*command, options->log);
+  command->footer(
+      "Example: terse generate stereo --laps 1 --frames 60 --size 306x92 --output street &&\n"
+      "         terse kitti street --output street_map --ground-truth street/poses.txt");
   command->callback([options] { Kitti(*options); });
 }
 

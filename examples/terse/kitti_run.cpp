@@ -134,7 +134,8 @@ std::vector<SE3> ReadKittiTruth(const std::string& path, const KittiSequence& se
     const double stamp = truth.format == TrajectoryFormat::kTum ? sequence.Time(frame) : frame;
     const auto it = std::lower_bound(truth.stamps.begin(), truth.stamps.end(), stamp - 0.01);
     if (it == truth.stamps.end() || std::abs(*it - stamp) > 0.01) {
-      throw FileError(path, 0, "there is no pose for frame " + std::to_string(frame));
+      throw FileError(
+          path, 0, "there is no pose for frame " + std::to_string(frame) + ", expected one for every frame of the run");
     }
     out.push_back(truth.T_world_body[static_cast<size_t>(it - truth.stamps.begin())]);
   }

@@ -11,6 +11,7 @@
 #include "report.h"
 #include "terse/core/measurement_line.h"
 #include "thresholds_file.h"
+#include "verbose.h"
 
 namespace terse {
 namespace {
@@ -28,6 +29,7 @@ struct OnlineCommandOptions {
   Recovery recovery = Recovery::kV2;
   ReadOptions read;
   bool strict = false, quiet = false;
+  LogSink log;
 };
 
 constexpr char kSource[] = "stdin";
@@ -178,7 +180,7 @@ class OnlineRun {
     FactorId id;
     const std::from_chars_result end = std::from_chars(text.data(), text.data() + text.size(), id.value);
     if (end.ec != std::errc() || end.ptr != text.data() + text.size()) {
-      throw FileError(kSource, number, "REMOVE takes the number of one factor");
+      throw FileError(kSource, number, "REMOVE of \"" + text + "\", expected the number of one factor");
     }
     slam_.RemoveLink(id);
   }
@@ -237,6 +239,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   options.min_pose_gain = from.min_pose_gain.value_or(options.min_pose_gain);
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
+  options.log = from.log;
   return options;
 }
 
@@ -257,7 +260,8 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
 
 ordered_json ParseHeader(const Journal& journal) {
   ordered_json json = ordered_json::parse(journal.Header(), nullptr, false);
-  if (!json.is_object()) throw FileError(journal.Path(), 0, "the journal's header is no JSON object");
+  if (!json.is_object())
+    throw FileError(journal.Path(), 0, "the journal's header is no JSON object, expected the options of its run");
   return json;
 }
 
@@ -287,7 +291,7 @@ void RunOnline(const OnlineCommandOptions& options, Journal* journal, LineSource
   }
   for (std::string line; source.Next(line);) {
     if (source.IsTorn() && !line.empty()) {
-      run.Refuse(FileError(kSource, source.Number(), "the input ends within this line"));
+      run.Refuse(FileError(kSource, source.Number(), "the input ends within this line, expected a line end"));
     } else {
       run.Take(line, source.Number());
     }
@@ -377,9 +381,11 @@ void AddOnlineCommand(CLI::App& app) {
             "How dropped poses come back, see compact");
   command->add_flag("--strict", options->strict, "Stop at the first bad line");
   command->add_flag("--quiet", options->quiet, "Write errors only, no decisions");
+  AddVerboseOption(*command, options->log);
   command->footer(
       "A blank line or FLUSH closes the pose at hand, REMOVE ID takes a link out.\n"
-      "Example: terse online --range 10 10 1.5 --journal run.journal < measurements.g2o");
+      "Example: terse generate ellipse --output measurements.g2o &&\n"
+      "         terse online --range 10 10 10 1.5 --journal run.journal < measurements.g2o");
   command->callback([options] { Online(*options); });
 }
 

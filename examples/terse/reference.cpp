@@ -10,7 +10,8 @@ std::vector<const CLI::App*> Subcommands(const CLI::App& app) {
 }
 
 std::vector<const CLI::Option*> Options(const CLI::App& app) {
-  return app.get_options([](const CLI::Option* option) { return option->nonpositional() && !option->get_group().empty(); });
+  return app.get_options(
+      [](const CLI::Option* option) { return option->nonpositional() && !option->get_group().empty(); });
 }
 
 std::vector<const CLI::Option*> Positionals(const CLI::App& app) {
@@ -18,7 +19,7 @@ std::vector<const CLI::Option*> Positionals(const CLI::App& app) {
 }
 
 std::vector<std::string> ValuesOf(const CLI::Option& option) {
-  // AddChoice writes a|b|c, CLI's IsMember {a,b,c}.
+  // AddChoice writes a|b|c, OneOf {a,b,c}.
   std::string type = option.get_type_name();
   const std::size_t open = type.find('{'), close = type.find('}');
   const bool in_braces = open != std::string::npos && close != std::string::npos;
@@ -36,10 +37,12 @@ std::string PathOf(const CLI::App& app) {
 
 void AddReferenceOptions(CLI::App& app) {
   const auto add = [&app](const std::string& name, std::string (*write)(const CLI::App&)) {
-    app.add_flag_callback(name, [&app, write] {
-         std::cout << write(app) << std::flush;
-         throw CLI::Success();  // before a subcommand is asked for
-       })->group("");
+    app.add_flag_callback(name,
+                          [&app, write] {
+                            std::cout << write(app) << std::flush;
+                            throw CLI::Success();  // before a subcommand is asked for
+                          })
+        ->group("");
   };
   add("--print-man", ManualPage);
   add("--print-completion", BashCompletion);

@@ -15,6 +15,7 @@
 #include "terse/core/replay.h"
 #include "terse/core/robust.h"
 #include "terse/covariance/marginals.h"
+#include "verbose.h"
 
 namespace terse {
 namespace {
@@ -41,6 +42,7 @@ struct SolveOptions {
   RobustOptions robust;
   int threads = 1;
   bool quiet = false;
+  LogSink log;
 };
 
 std::string CovarianceTarget(const SolveOptions& options) {
@@ -65,6 +67,7 @@ IncrementalOptions StepOptions(const SolveOptions& options) {
   out.report_cost = !options.steps.empty();
   out.report_paper_flops = options.paper_flops;
   out.threads = options.threads;
+  out.log = options.log;
   return out;
 }
 
@@ -75,6 +78,7 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
   BatchOptions batch;
   batch.threads = options.threads;
   batch.robust = options.robust;
+  batch.log = options.log;
   batch.progress = [&](int iteration, double) {
     progress.Update(iteration);
     return true;
@@ -389,7 +393,10 @@ void AddSolveCommand(CLI::App& app) {
       ->check(CLI::PositiveNumber.description(""))
       ->type_name("N");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
-  command->footer("Example: terse solve sphere2500.g2o --output solved.g2o --stats stats.json");
+  AddVerboseOption(*command, options->log);
+  command->footer(
+      "Example: terse generate sphere --poses 400 --output sphere.g2o &&\n"
+      "         terse solve sphere.g2o --output solved.g2o --stats stats.json");
   command->callback([options, step_options, convention_options] {
     CheckUsage(*options, step_options, convention_options);
     Solve(*options);

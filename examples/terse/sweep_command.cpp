@@ -12,6 +12,7 @@
 #include "terse/core/atomic_file.h"
 #include "text_table.h"
 #include "thresholds_file.h"
+#include "verbose.h"
 
 namespace terse {
 namespace {
@@ -26,6 +27,7 @@ struct SweepOptions {
   std::optional<double> sample;
   int steps = 9;
   bool quiet = false;
+  LogSink log;
 };
 
 const char* Name(Scaled scaled) {
@@ -90,6 +92,7 @@ Sweep RunSweep(const PoseGraph<Pose>& graph, const SweepOptions& options) {
   sweep.reference = reference.kind;
   // What the scale 1 stands for.
   CompactOptions<Pose> base;
+  base.log = options.log;
   if (options.thresholds.empty()) {
     SampleWithProgress(graph, options.sample, "sample", options.quiet, base);
   } else {
@@ -217,7 +220,10 @@ void AddSweepCommand(CLI::App& app) {
   command->add_option("--svg", options->svg, "Draw them here")->type_name("FILE");
   AddReadOptions(*command, options->read);
   command->add_flag("--quiet", options->quiet, "No progress or warnings on standard error");
-  command->footer("Example: terse sweep sphere2500.g2o --threshold pose --csv sweep.csv --svg sweep.svg");
+  AddVerboseOption(*command, options->log);
+  command->footer(
+      "Example: terse generate ellipse-n --laps 3 --output laps.g2o &&\n"
+      "         terse sweep laps.g2o --threshold pose --steps 3 --csv sweep.csv --svg sweep.svg");
   command->callback([options] { SweepFile(*options); });
 }
 

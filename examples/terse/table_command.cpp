@@ -181,14 +181,15 @@ void RunIggSpo(const TableOptions& options) {
     if (!IsChosen(set.name, options.graphs)) continue;
     inputs.emplace_back(&set, (std::filesystem::path(options.folder) / (set.name + ".g2o")).string());
     // Before the first of many minutes, not after them.
-    if (!std::filesystem::exists(inputs.back().second)) throw FileError(inputs.back().second, 0, "no such file");
+    if (!std::filesystem::exists(inputs.back().second))
+      throw FileError(inputs.back().second, 0, "no such file, expected a 2D graph of this name");
   }
   nlohmann::ordered_json json = nlohmann::ordered_json::array();
   bool has_header = options.json;
   for (const auto& [set, path] : inputs) {
     const GraphFile file = ReadGraph(path);
     const auto* graph = std::get_if<PoseGraph<SE2>>(&file.graph);
-    if (graph == nullptr) throw FileError(path, 0, "not a 2D graph");
+    if (graph == nullptr) throw FileError(path, 0, "a 3D graph, expected a 2D one");
     AddPathToErrors(path, [&, &data = *set] {
       const std::vector<Row> rows = RunGraph(*graph, data, options);
       if (!has_header) PrintHeader();
@@ -219,13 +220,13 @@ void AddTableCommand(CLI::App& app) {
   std::vector<std::string> names;
   for (const DataSet& set : DataSets()) names.push_back(set.name);
   command->add_option("--graphs", options->graphs, "Only these graphs")
-      ->check(CLI::IsMember(names))
+      ->check(OneOf(names))
       ->delimiter(',')
       ->type_name("NAME,...");
   names.clear();
   for (const auto& policy : PolicyNames()) names.push_back(policy.first);
   command->add_option("--policies", options->policies, "Only these policies")
-      ->check(CLI::IsMember(names))
+      ->check(OneOf(names))
       ->delimiter(',')
       ->type_name("NAME,...");
   command->add_flag("--json", options->json, "Print JSON");
@@ -234,7 +235,8 @@ void AddTableCommand(CLI::App& app) {
       "N-chi2: chi2 per measured scalar. ATE: metres, against the batch optimum. update, solve: the paper's work "
       "model, "
       "mean per edge; our: floating-point operations of this program.\n"
-      "Example: terse table igg-spo graphs/igg_spo --graphs MIT,FR079 --initial file");
+      "Example: mkdir -p graphs && terse generate manhattan --poses 200 --output graphs/MIT.g2o &&\n"
+      "         terse table igg-spo graphs --graphs MIT --initial file");
   command->callback([options] { RunIggSpo(*options); });
   AddCompactTable(*table);
 }

@@ -115,7 +115,7 @@ void AddCompactTable(CLI::App& table) {
     accepted.insert(accepted.end(), name.other_names.begin(), name.other_names.end());
   }
   command->add_option("--graphs", options->graphs, "Only these graphs; ellipse, ellipse-n, manhattan100k are generated")
-      ->check(CLI::IsMember(accepted))
+      ->check(OneOf(accepted))
       ->delimiter(',')
       ->type_name("NAME,...");
   command
@@ -145,7 +145,9 @@ void AddCompactTable(CLI::App& table) {
   command->add_option("--update", options->update, "Put the tables into this document, between <!-- tables --> marks")
       ->type_name("FILE");
   command->add_flag("--quiet", options->table.quiet, "No progress on standard error");
-  command->footer("Example: terse table compact . --graphs ellipse --output figures");
+  command->footer(
+      "Example: mkdir -p graphs && terse generate sphere --poses 200 --output graphs/sphere2500.g2o &&\n"
+      "         terse table compact graphs --graphs ellipse,sphere2500 --random-runs 2 --output figures");
   command->callback([options] { RunTable(*options); });
 }
 

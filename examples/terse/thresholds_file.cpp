@@ -14,7 +14,7 @@ namespace {
 using nlohmann::json;
 
 FileError KeyError(const std::string& path, const std::string& key, const std::string& cause) {
-  return FileError(path, 0, "key \"" + key + "\" " + cause);
+  return FileError(path, 0, "key \"" + key + "\" " + cause + ", expected as compact writes it to thresholds.json");
 }
 
 json ReadObject(const std::string& path) {
@@ -22,7 +22,7 @@ json ReadObject(const std::string& path) {
   if (!std::filesystem::exists(path, error)) throw FileError(path, 0, "the file does not exist");
   std::ifstream file(path, std::ios::binary);
   const std::string text{std::istreambuf_iterator<char>(file), {}};
-  if (!file) throw FileError(path, 0, "cannot read");
+  if (!file) throw FileError(path, 0, "cannot read, expected a thresholds.json");
   const json object = json::parse(text, nullptr, false);
   if (!object.is_object()) throw FileError(path, 0, "expected thresholds as a JSON object");
   return object;

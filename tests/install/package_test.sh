@@ -111,7 +111,7 @@ done
 
 # --- A program linked to it: by CMake, and by pkg-config.
 consumer=$source/tests/install/consumer
-cmake -S "$consumer" -B cmake_consumer -D CMAKE_BUILD_TYPE=Release -D CMAKE_CXX_COMPILER="$compiler" \
+cmake -S "$consumer" -B cmake_consumer -D CMAKE_CXX_COMPILER="$compiler" \
   -D CMAKE_PREFIX_PATH="$usr" >cmake.log 2>&1 || fail "$(cat cmake.log)"
 grep -q "^terse_DIR:PATH=$usr/lib/cmake/terse" cmake_consumer/CMakeCache.txt || fail "another terse was found"
 cmake --build cmake_consumer --target consumer >cmake.log 2>&1 || fail "$(cat cmake.log)"
@@ -122,7 +122,7 @@ if has pkg-config "the pkg-config files"; then
   [[ $(pkg-config --modversion terse) == "$version" ]] || fail "version of terse.pc"
   contains eigen3 "$(pkg-config --cflags terse)"
   # shellcheck disable=SC2046
-  "$compiler" -std=c++17 -O1 "$consumer/main.cpp" -o pkg_consumer $(pkg-config --cflags --libs terse)
+  "$compiler" -std=c++17 "$consumer/main.cpp" -o pkg_consumer $(pkg-config --cflags --libs terse)
   ./pkg_consumer pkg.g2o >pkg.txt
   cmp cmake.txt pkg.txt
   if [[ $has_frontend == yes ]]; then

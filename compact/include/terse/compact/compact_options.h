@@ -35,6 +35,7 @@ struct CompactOptions {
   // as after odometry that was worse than its covariance says. At least 2.
   int consensus = 3;
   IncrementalOptions solver;
+  LogSink log;  // log.h; the solver's too, unless that has its own
 };
 
 // Measures T_candidate_current, given in either direction; nullopt when the two do not match.

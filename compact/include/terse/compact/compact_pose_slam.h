@@ -103,7 +103,8 @@ class CompactPoseSlam {
   // The whole state, versioned, checksummed, written to a temporary file and renamed (core/state_file.h). What is
   // loaded continues bit by bit as the one saved would have, on the same build and processor family. Throw FileError.
   void Save(const std::string& path) const;
-  static CompactPoseSlam Load(const std::string& path);
+  static CompactPoseSlam Load(const std::string& path, LogSink log = {});
+  void SetLog(LogSink log);  // the solver's too
 
   // The map as a plain value (compact_map.h), dropped poses recovered as asked for; and a run that continues from one,
   // its map brought to the optimum. Factors are numbered anew, in the same order. Throws std::invalid_argument if the
@@ -147,6 +148,8 @@ class CompactPoseSlam {
                   const Registration<Pose>& registration);
   bool TryLink(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
                Candidate& record);
+  void LogLink(PoseId a, PoseId b, const Candidate& record, bool good) const;
+  void LogVerdict(const Decision& decision) const;
   void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
   void Judge(const Current& current, Decision& decision) const;
   std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links);

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "terse/core/block_cholesky.h"
+#include "terse/core/log.h"
 #include "terse/core/observability.h"
 #include "terse/core/pose_graph.h"
 #include "terse/core/robust.h"
@@ -35,6 +36,7 @@ struct BatchOptions {
   std::optional<std::vector<FactorId>> robust_factors;
   // kGnc: false if the initial values are good and only the loops that they contradict are to be left out.
   bool graduate = true;
+  LogSink log;  // log.h
 };
 
 // kStalled: no step lowers chi2 any more although the gradient has not vanished, as at a jump of the angle residual.

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "terse/core/block_cholesky.h"
+#include "terse/core/log.h"
 #include "terse/core/pose_graph.h"
 #include "terse/core/robust.h"
 
@@ -92,6 +93,8 @@ struct IncrementalOptions {
   bool report_cost = false;
   // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
   bool report_paper_flops = false;
+
+  LogSink log;  // log.h
 };
 
 // A threshold to start from: 1e-5 of chi2, 0.1 nat, 1 (no value suits all graphs), 4 poses.

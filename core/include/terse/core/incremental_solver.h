@@ -19,6 +19,7 @@
 #include <optional>
 #include <string>
 #include <unordered_set>
+#include <utility>
 #include <vector>
 
 #include "terse/core/batch_solver.h"
@@ -54,8 +55,8 @@ class IncrementalSolver {
 
   // Iterates to the batch optimum, which becomes the linearisation point; where the system turns out not to be positive
   // definite, nothing changes. The result's poses are in the order of Graph().Poses(). The kernel and the loops are
-  // this solver's, whatever `options` says; kGnc starts from the loops that are in, and graduates all of them besides
-  // if any is out, the lower cost of both winning.
+  // this solver's, whatever `options` says, the log unless it has its own; kGnc starts from the loops that are in, and
+  // graduates all of them besides if any is out, the lower cost of both winning.
   BatchResult<Pose> Finish(const BatchOptions& options = {});
 
   // Poses and living factors; the pose values in it are the initial ones.
@@ -81,7 +82,8 @@ class IncrementalSolver {
   // and report but for times, and what times decide (budget_seconds). Covariances made on the saved one are to be made
   // anew. state_file.h describes the file. Both throw FileError; a file that cannot be written stays as it was.
   void Save(const std::string& path) const;
-  static IncrementalSolver Load(const std::string& path);
+  static IncrementalSolver Load(const std::string& path, LogSink log = {});
+  void SetLog(LogSink log) { options_.log = std::move(log); }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -109,6 +111,7 @@ class IncrementalSolver {
   [[noreturn]] void ThrowSingularUpdate(const GraphUpdate<Pose>& update, const Plan& plan, int failed_variable) const;
   typename BlockCholesky<B>::UpdateReport UpdateFactor(typename BlockCholesky<B>::Changes changes, StepReport& report);
   double TimedChi2(StepReport& report) const;
+  void LogStep(const GraphUpdate<Pose>& update, const StepReport& report, bool was_deferred) const;
   // incremental_gate.cpp
   GateValues ValuesForGate() const;
   void ChangeCosts(const LinearFactor<B>& factor, int sign);
@@ -154,6 +157,7 @@ class IncrementalSolver {
   Vector<Pose::kDof> LinearResidual(int slot) const;
   double WeightOnArrival(Loop& loop) const;
   bool ChangeLoops(const Loops& in, const Loops& out, StepReport& report);
+  void LogLoops(const Loops& loops, const char* what) const;
   void Park(FactorId id, double chi2);
   void Unpark(FactorId id);
   void AdmitNewLoops(Plan& plan, StepReport& report);

@@ -17,6 +17,7 @@
 #include <string>
 #include <vector>
 
+#include "terse/core/log.h"
 #include "terse/frontend/stereo_frame.h"
 #include "terse/frontend/stereo_motion.h"
 
@@ -39,6 +40,7 @@ struct StereoOdometryOptions {
   StereoMotionOptions motion;
   // Standard deviations of a lost edge: a part of the motion, and at least so much.
   double lost_sigma_part = 0.5, lost_sigma_rho = 0.5, lost_sigma_phi = 0.05;  // 1, metres, radians
+  LogSink log;                                                                // log.h
 };
 
 enum class TrackingStatus { kFirst, kTracked, kLost };

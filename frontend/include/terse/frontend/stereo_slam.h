@@ -41,6 +41,7 @@ struct StereoSlamOptions {
   // other, the oldest are forgotten: driving the same street again and again needs no more memory.
   int most_per_place = 4;
   double place_radius = 2, place_angle = 0.35;
+  LogSink log;  // log.h; the map's and the odometry's too, unless they have their own
 };
 
 // One candidate that was compared with a frame.
