@@ -107,8 +107,8 @@ constexpr const char* kConvention =
     "'translation_first' or 'rotation_first'.";
 
 // The queries of a class of marginals.
-template <class M>
-void BindQueries(py::class_<M>& type) {
+template <class Class, class M = typename Class::type>
+void BindQueries(Class& type) {
   using Text = const std::string&;
   const auto doc = [](const std::string& text) { return text + "\n\n" + kConvention; };
   type.def(
@@ -215,7 +215,7 @@ void BindGrowing(py::module_& module) {
 }  // namespace
 
 void BindMarginals(py::module_& module) {
-  py::class_<Marginals> type(module, "Marginals",
+  py::class_<Marginals, std::shared_ptr<Marginals>> type(module, "Marginals",
                              "Covariances of a pose graph at given values. Queries run without the GIL, also from several "
                              "threads.\n\n"
                              "Of d in T Exp(d), d = [translation, rotation], metres and radians, body frame, unless asked "

@@ -5,7 +5,6 @@ pose is asked for, a homogeneous matrix will do. Covariances and information mat
 d = [translation, rotation], in the body frame. docs/python.md is a guide with examples.
 """
 
-from . import _terse
 from ._terse import (
     Candidate,
     CompactInput,
@@ -52,4 +51,59 @@ from ._terse import (
 from .poses import ellipse, position_covariances, to_matrices
 from .run import Run, RunCandidate, RunDecision, read_run
 
-__all__ = [name for name in dir() if not name.startswith("_") and name not in ("poses", "run")]
+__all__ = [
+    "__version__",
+    "Candidate",
+    "CompactInput",
+    "CompactOptions",
+    "CompactPoseSlam",
+    "CompactTrajectory",
+    "CovarianceReport",
+    "Decision",
+    "Edges",
+    "ellipse",
+    "evaluate",
+    "Evaluation",
+    "FileError",
+    "FreeMotion",
+    "GraphFile",
+    "GraphReplay",
+    "IncrementalMarginals",
+    "IncrementalOptions",
+    "IncrementalSolver",
+    "initial_values",
+    "KittiError",
+    "LinkDecision",
+    "Marginals",
+    "NumericalError",
+    "PoseError",
+    "PoseGraph",
+    "PosePrior",
+    "position_covariances",
+    "PositionPrior",
+    "read_graph",
+    "read_graph_file",
+    "read_run",
+    "read_trajectory",
+    "RelativePose",
+    "replay",
+    "Run",
+    "RunCandidate",
+    "RunDecision",
+    "select_thresholds",
+    "Solution",
+    "solve",
+    "StepReport",
+    "Thresholds",
+    "to_matrices",
+    "Trajectory",
+    "UnobservableError",
+    "write_graph",
+    "write_trajectory",
+]
+
+# Users know these by the package's name.
+for _name in __all__:
+    if _name != "__version__" and hasattr(globals()[_name], "__module__"):
+        globals()[_name].__module__ = __name__
+del _name

@@ -61,8 +61,7 @@ def position_covariances(poses: ArrayLike, covariances: ArrayLike) -> Floats:
     if sigma.shape != T.shape[:-2] + (3 * dim - 3,) * 2:
         raise ValueError(f"covariances: expected shape {T.shape[:-2] + (3 * dim - 3,) * 2}, got {sigma.shape}")
     R = T[..., :dim, :dim]
-    out: Floats = R @ sigma[..., :dim, :dim] @ np.swapaxes(R, -1, -2)
-    return out
+    return np.einsum("...ij,...jk,...lk->...il", R, sigma[..., :dim, :dim], R)  # type: ignore[no-any-return]
 
 
 # Squared radius that a plane normal distribution keeps within at 95 %.
@@ -78,5 +77,5 @@ def ellipse(center: ArrayLike, covariance: ArrayLike, points: int = 49) -> Float
     angles = np.linspace(0, 2 * np.pi, points)
     circle = np.stack([np.cos(angles), np.sin(angles)])
     radii = np.sqrt(_CHI2_95 * np.maximum(values, 0))
-    out: Floats = np.asarray(center, dtype=np.float64) + ((axes * radii) @ circle).T
+    out: Floats = np.add(center, ((axes * radii) @ circle).T, dtype=np.float64)
     return out

@@ -101,12 +101,11 @@ def _read_decisions(path: Path) -> List[RunDecision]:
             if len({len(column) for column in columns}) != 1:
                 raise ValueError("the lists of candidates are not of the same length")
             candidates = tuple(
-                RunCandidate(int(pose), _number(p), _number(gain), _number(measured), _number(innovation), accepted == "1")
-                for pose, p, gain, measured, innovation, accepted in zip(*columns)
+                RunCandidate(int(pose), _number(p), _number(gain), _number(measured), _number(innovation), yes == "1")
+                for pose, p, gain, measured, innovation, yes in zip(*columns)
             )
-            decisions.append(
-                RunDecision(int(row["pose"]), row["kept"] == "1", row["verdict"], _number(row["pose_gain_nats"]), candidates)
-            )
+            pose_gain = _number(row["pose_gain_nats"])
+            decisions.append(RunDecision(int(row["pose"]), row["kept"] == "1", row["verdict"], pose_gain, candidates))
         except ValueError as error:
             raise _file_error(path, line, str(error)) from None
     return decisions
@@ -125,9 +124,8 @@ def _read_loops(path: Path, ids: Ints, kept: NDArray[np.bool_]) -> List[RunDecis
             )
         except ValueError as error:
             raise _file_error(path, line, str(error)) from None
-    return [
-        RunDecision(int(pose), bool(is_kept), "", None, tuple(found.get(int(pose), ()))) for pose, is_kept in zip(ids, kept)
-    ]
+    poses = zip(ids.tolist(), kept.tolist())
+    return [RunDecision(pose, is_kept, "", None, tuple(found.get(pose, ()))) for pose, is_kept in poses]
 
 
 def _read_covariances(folder: Path) -> Tuple[Optional[Ints], Optional[Floats]]:
@@ -167,7 +165,7 @@ def _read_json(path: Path) -> Optional[Dict[str, Any]]:
 def read_run(folder: Union[str, "os.PathLike[str]"]) -> Run:
     """Reads the folder of a compact run: compact.g2o and trajectory.tum, and what else is there.
 
-    covariances.npz is taken before covariances.csv, decisions.csv before loops.csv. FileError with path, line and cause.
+    covariances.npz is taken before covariances.csv, decisions.csv before loops.csv. FileError with path, line, cause.
     """
     path = Path(folder)
     graph = _terse.read_graph(path / "compact.g2o")
