@@ -6,11 +6,10 @@ GRAPHS ?= ../shared/data/graphs
 
 packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
-docs_packages = doxygen libjs-katex
 bench_packages = libbenchmark-dev libceres-dev
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install asan format format-check deps clean help
+.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -50,6 +49,8 @@ compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM int
 	@for name in ellipse_norms ellipse-n_laps ellipse-n_growth; do \
 	  if [ -f build-bench/compact/$$name.svg ]; then cp build-bench/compact/$$name.svg docs/images/; fi; done
 
+docs_packages = doxygen libjs-katex
+.PHONY: docs
 docs: build/build.ninja ## make the pages of docs/ and of the headers, build/docs/html/index.html
 	@.ci/packages $(docs_packages)
 	@cmake --build build --target docs
