@@ -20,6 +20,7 @@ demo: all ## build, then run the demonstration
 	@examples/demo.sh
 
 test: build/build.ninja ## build everything and run the tests
+	@.ci/packages $(docs_packages)
 	@cmake --build build -j $(JOBS)
 	@ctest --test-dir build --output-on-failure -j $(JOBS) --output-junit test-results.xml; status=$$?; \
 	  echo "Results: build/test-results.xml, output: build/Testing/Temporary/LastTest.log"; exit $$status
@@ -48,6 +49,12 @@ compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM int
 	@build-bench/bin/terse table compact $(GRAPHS) --update docs/compact.md --output build-bench/compact $(BENCH_ARGS)
 	@for name in ellipse_norms ellipse-n_laps ellipse-n_growth; do \
 	  if [ -f build-bench/compact/$$name.svg ]; then cp build-bench/compact/$$name.svg docs/images/; fi; done
+
+docs_packages = doxygen libjs-katex
+.PHONY: docs
+docs: build/build.ninja ## make the pages of docs/ and of the headers, build/docs/html/index.html
+	@.ci/packages $(docs_packages)
+	@cmake --build build --target docs
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'

@@ -10,7 +10,16 @@ function Escape(text) {
   gsub(/&/, "\\&amp;", text); gsub(/</, "\\&lt;", text); gsub(/>/, "\\&gt;", text)
   # A dot behind these does not end the first sentence.
   gsub(/Eq\. /, "Eq.\\ ", text); gsub(/Eqs\. /, "Eqs.\\ ", text)
+  text = LinkPages(text)
   gsub(/et al\. /, "et al.\\ ", text); gsub(/e\.g\. /, "e.g.\\ ", text)
+  return text
+}
+
+function LinkPages(text,    page) {
+  if (match(text, /docs\/[a-z_]+\.md/)) {
+    page = substr(text, RSTART + 5, RLENGTH - 8)
+    text = substr(text, 1, RSTART - 1) "\\ref " page " \"docs/" page ".md\"" substr(text, RSTART + RLENGTH)
+  }
   return text
 }
 
