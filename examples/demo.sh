@@ -10,16 +10,12 @@ mkdir -p "$out"
 printf '\n170 poses on two ellipses, 5 %% error in translation and rotation; errors against the ground truth (root mean square)\n\n'
 printf '%-9s %6s %6s %9s %10s %10s %10s %10s\n' strategy poses links 'time [s]' 'ATE [m]' 'ATE [deg]' 'RPE [m]' 'RPE [deg]'
 for strategy in apal apfl fpfl; do
-  "$terse" compact "$out/ellipse.g2o" --strategy $strategy --output "$out/$strategy" --quiet
-  "$terse" evaluate "$out/$strategy/trajectory.tum" "$out/ground_truth.tum" --json > "$out/$strategy/evaluation.json"
-  # The files are our own, one key a line.
-  value() { sed -n "s/^ *\"$2\": \([^,]*\),\{0,1\}$/\1/p" "$1" | sed -n "${3}p"; }
-  stats=$out/$strategy/stats.json
-  errors=$out/$strategy/evaluation.json
+  "$terse" compact "$out/ellipse.g2o" --strategy $strategy --ground-truth "$out/ground_truth.tum" --output "$out/$strategy" --quiet
+  # The file is our own, one key a line.
+  value() { sed -n "s/^ *\"$1\": \([^,]*\),\{0,1\}$/\1/p" "$out/$strategy/stats.json" | head -n 1; }
   printf '%-9s %6d %6d %9.3f %10.4f %10.4f %10.4f %10.4f\n' $strategy \
-    "$(value "$stats" poses_kept 1)" "$(value "$stats" links_kept 1)" "$(value "$stats" total 1)" \
-    "$(value "$errors" translation_m 1)" "$(value "$errors" rotation_deg 1)" \
-    "$(value "$errors" translation_m 2)" "$(value "$errors" rotation_deg 2)"
+    "$(value poses_kept)" "$(value links_kept)" "$(value total)" "$(value ate_m)" "$(value ate_deg)" "$(value rpe_m)" \
+    "$(value rpe_deg)"
 done
 cat <<END
 
@@ -27,11 +23,14 @@ apal keeps all poses and all links (loops beside the odometry), apfl all poses a
 fpfl few of both. One run of one data set: which ATE is the smallest is chance, that they are alike is not.
 Data and ground truth: $out/ellipse.g2o, $out/ground_truth.tum
 Results, each in $out/apal, $out/apfl and $out/fpfl: compact.g2o (the map), trajectory.tum (all poses), decisions.csv, covariances.csv,
-stats.json, evaluation.json
+stats.json, report.html and more; docs/outputs.md
 END
 
+"$terse" report "$out/apal" "$out/fpfl" --output "$out/report.html" --quiet
+show() { printf '\nOpen in a browser:\n'; for page in "$@"; do echo "  $(cd "$(dirname "$page")" && pwd)/$(basename "$page")"; done; }
+
 # Without OpenCV the command has no front end.
-"$terse" generate stereo --help >/dev/null 2>&1 || exit 0
+"$terse" generate stereo --help >/dev/null 2>&1 || { show "$out/report.html"; exit 0; }
 
 printf '\nA street driven twice by a stereo camera, 400 frames\n\n'
 rm -rf "$out/street"
@@ -41,5 +40,6 @@ cat <<END
 
 Images, calibration and ground truth, as KITTI has them: $out/street
 Results: $out/street_fpfl, trajectory.kitti.txt and trajectory.tum (all frames), compact.g2o (the map), covariances.csv, loops.csv,
-stats.json
+stats.json, report.html and more
 END
+show "$out/report.html" "$out/street_fpfl/report.html"

@@ -6,6 +6,7 @@
 #include "compact_output.h"
 #include "compact_run.h"
 #include "report.h"
+#include "run_report.h"
 #include "terse/compact/compact_map.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
@@ -181,6 +182,7 @@ void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const Compa
   stats.seconds_covariance = WriteRun(results, options.directory);
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
+  WriteReport({options.directory}, options.directory + "/report.html");
   if (!options.quiet) PrintSummary(stats, options);
 }
 

@@ -7,6 +7,7 @@
 #include "compact_steps.h"
 #include "progress.h"
 #include "report.h"
+#include "run_report.h"
 #include "terse/covariance/incremental_marginals.h"
 
 namespace terse {
@@ -118,6 +119,7 @@ class TableRun {
     stats.seconds_covariance = WriteRun<Pose>({run.slam, run.result, run.decisions, steps, trajectories}, folder);
     stats.seconds_total = run.Seconds() + stats.seconds_covariance;
     WriteJson(ToJson(stats), folder + "/stats.json");
+    WriteReport({folder}, folder + "/report.html");
   }
 
   void RunFpfl() {

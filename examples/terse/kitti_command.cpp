@@ -6,6 +6,7 @@
 #include "compact_output.h"
 #include "kitti_output.h"
 #include "kitti_run.h"
+#include "run_report.h"
 #include "terse/core/error.h"
 #include "thresholds_file.h"
 #include "verbose.h"
@@ -96,6 +97,7 @@ void Kitti(const KittiCommandOptions& options) {
   RequireFolder(other);
   const Outcome information = RunOnce(sequence, frames, truth, options, false, options.directory);
   const Outcome appearance = RunOnce(sequence, frames, truth, options, true, other);
+  WriteReport({options.directory, other}, options.directory + "/comparison.html");
   if (!options.quiet) {
     PrintSearchComparison(information.run, information.errors, appearance.run, appearance.errors);
   }

@@ -8,6 +8,7 @@
 #include "commands.h"
 #include "compact_output.h"
 #include "report.h"
+#include "run_report.h"
 
 namespace terse {
 namespace {
@@ -151,6 +152,7 @@ void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const
   WriteKitti(Stamped(TrajectoryFormat::kKitti, OdometryTrajectory(run, sequence), run, sequence),
              folder + "/odometry.kitti.txt");
   WriteJson(StatsToJson(run, sequence, errors), folder + "/stats.json");
+  WriteReport({folder}, folder + "/report.html");
 }
 
 void PrintKittiSummary(const KittiRun& run, const std::optional<KittiErrors>& errors, const std::string& folder) {

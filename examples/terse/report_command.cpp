@@ -36,11 +36,11 @@ void OpenInBrowser(const std::string& path) {
 }
 
 void Report(const ReportOptions& options) {
-  std::vector<RunFolder> runs;
-  for (const std::string& folder : options.folders) runs.push_back(ReadRunFolder(folder));
   std::string output = options.output;
-  if (output.empty()) output = options.folders.front() + (runs.size() == 1 ? "/report.html" : "/comparison.html");
-  WriteReport(runs, output);
+  if (output.empty()) {
+    output = options.folders.front() + (options.folders.size() == 1 ? "/report.html" : "/comparison.html");
+  }
+  WriteReport(options.folders, output);
   output = std::filesystem::canonical(output).string();
   if (!options.quiet) {
     std::cout << "report: " << output << '\n';

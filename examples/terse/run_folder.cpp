@@ -98,7 +98,20 @@ class Reader {
         run_.decisions.push_back(std::move(decision));
       });
     }
-    RequireCount(path, run_.decisions.size(), run_.ids.size());
+    const std::size_t before = PosesBefore(run_.decisions.size());
+    RequireCount(path, before + run_.decisions.size(), run_.ids.size());
+    nlohmann::json all = nlohmann::json::array();
+    for (std::size_t k = 0; k < before; ++k) {
+      all.push_back({{"pose", run_.ids[k]},
+                     {"verdict", nullptr},
+                     {"pose_gain_nats", nullptr},
+                     {"registrations_tried", 0},
+                     {"links_accepted", 0},
+                     {"links_refused", 0},
+                     {"candidates", nlohmann::json::array()}});
+    }
+    for (auto& decision : run_.decisions) all.push_back(std::move(decision));
+    run_.decisions = std::move(all);
   }
 
   // A missing pose has no covariance: those of a run by the random baseline with few poses, say.
@@ -122,13 +135,22 @@ class Reader {
 
   void ReadSteps(const std::string& path) {
     const auto [names, rows] = ReadCsv(path);
-    RequireCount(path, rows.size(), run_.ids.size());
+    const std::size_t before = PosesBefore(rows.size());
+    RequireCount(path, before + rows.size(), run_.ids.size());
     for (size_t column = 0; column < names.size(); ++column) {
+      run_.steps[names[column]].assign(before, kNone);
       for (const std::vector<double>& row : rows) run_.steps[names[column]].push_back(row[column]);
     }
   }
 
  private:
+  // Of a run that continued one whose own decisions or steps were not there: the poses that these rows are not about.
+  size_t PosesBefore(size_t rows) const {
+    const auto continued = run_.stats.find("continued");
+    if (rows >= run_.ids.size() || continued == run_.stats.end()) return 0;
+    return std::min(continued->at("poses").get<size_t>(), run_.ids.size());
+  }
+
   int IndexOf(const nlohmann::json& id, const std::string& path) const {
     const auto found = index_.find(id.get<std::int64_t>());
     if (found != index_.end()) return found->second;

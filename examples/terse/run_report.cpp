@@ -51,8 +51,10 @@ Json Poses(const RunFolder& run) {
   for (const char kept : run.kept) out["kept"].push_back(static_cast<int>(kept));
   out["verdict"] = Json::array();
   for (const auto& decision : run.decisions) {
-    const auto at = std::find(Verdicts().begin(), Verdicts().end(), decision.at("verdict").get<std::string>());
-    out["verdict"].push_back(at - Verdicts().begin());
+    const auto& verdict = decision.at("verdict");  // null before the decisions that are known
+    const auto at =
+        std::find(Verdicts().begin(), Verdicts().end(), verdict.is_string() ? verdict.get<std::string>() : "");
+    out["verdict"].push_back(at != Verdicts().end() ? Json(at - Verdicts().begin()) : Json(nullptr));
   }
   out.update(Positions(run.T_world_body));
   return out;
@@ -180,6 +182,12 @@ void WriteReport(const std::vector<RunFolder>& runs, const std::string& path) {
   const std::size_t at = page.find(kPlace);
   if (at == std::string::npos) throw std::logic_error("the report's page has no place for its data");
   WriteText(page.replace(at, kPlace.size(), safe), path);
+}
+
+void WriteReport(const std::vector<std::string>& folders, const std::string& path) {
+  std::vector<RunFolder> runs;
+  for (const std::string& folder : folders) runs.push_back(ReadRunFolder(folder));
+  WriteReport(runs, path);
 }
 
 }  // namespace terse

@@ -13,5 +13,7 @@ nlohmann::ordered_json ReportToJson(const std::vector<RunFolder>& runs);
 
 // One run, or two side by side. Written whole or not at all. Throws FileError.
 void WriteReport(const std::vector<RunFolder>& runs, const std::string& path);
+// The same from the folders that runs have just left behind.
+void WriteReport(const std::vector<std::string>& folders, const std::string& path);
 
 }  // namespace terse

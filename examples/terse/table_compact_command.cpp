@@ -10,6 +10,7 @@
 #include "compact_table_text.h"
 #include "document.h"
 #include "report.h"
+#include "run_report.h"
 #include "terse/core/error.h"
 #include "text_table.h"
 
@@ -82,6 +83,10 @@ void RunTable(const Options& options) {
     const int laps = name.name == "ellipse-n" ? options.laps : 0;
     for (const std::string& file : WriteFigures(rows.back(), laps, options.output)) {
       files.push_back(options.output + '/' + file);
+    }
+    const std::string folder = options.output + '/' + rows.back().graph;
+    if (std::filesystem::exists(folder + "/apal")) {
+      WriteReport({folder + "/apal", folder + "/fpfl"}, folder + "/comparison.html");
     }
     // Graph by graph: what stops a later one costs the earlier ones nothing.
     WriteJson(AllJson(rows, files, options), options.output + "/tables.json");
