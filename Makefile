@@ -7,9 +7,12 @@ GRAPHS ?= ../shared/data/graphs
 packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
 bench_packages = libbenchmark-dev libceres-dev
+# Where node comes from elsewhere, Debian's npm would conflict with it.
+node_packages = $(if $(shell command -v npm),,nodejs npm)
+browser_packages = $(if $(shell command -v chromium || command -v chromium-browser || command -v google-chrome),,chromium)
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install asan format format-check deps clean help
+.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page install asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -19,6 +22,7 @@ demo: all ## build, then run the demonstration
 	@examples/demo.sh
 
 test: build/build.ninja ## build everything and run the tests
+	@.ci/packages $(node_packages) $(browser_packages)
 	@cmake --build build -j $(JOBS)
 	@ctest --test-dir build --output-on-failure -j $(JOBS) --output-junit test-results.xml; status=$$?; \
 	  echo "Results: build/test-results.xml, output: build/Testing/Temporary/LastTest.log"; exit $$status
@@ -47,6 +51,10 @@ compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM int
 	@build-bench/bin/terse table compact $(GRAPHS) --update docs/compact.md --output build-bench/compact $(BENCH_ARGS)
 	@for name in ellipse_norms ellipse-n_laps ellipse-n_growth; do \
 	  if [ -f build-bench/compact/$$name.svg ]; then cp build-bench/compact/$$name.svg docs/images/; fi; done
+
+report-page: ## bundle examples/report/src into examples/report/report.html, which is committed (needs the npm registry)
+	@.ci/packages $(node_packages)
+	@cd examples/report && npm ci --loglevel=error && npm run --silent build
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'
