@@ -7,10 +7,19 @@ GRAPHS ?= ../shared/data/graphs
 packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
 package_packages = dpkg-dev file gzip
+docs_packages = doxygen libjs-katex
+python_packages = pybind11-dev python3-dev python3-numpy python3-matplotlib
+plot_packages = librsvg2-bin
 bench_packages = libbenchmark-dev libceres-dev
+# Where node comes from elsewhere, Debian's npm would conflict with it.
+node_packages = $(if $(shell command -v npm),,nodejs npm)
+browser_packages = $(if $(shell command -v chromium || command -v chromium-browser || command -v google-chrome),,chromium)
+test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_packages) $(node_packages) $(browser_packages) \
+  python3-pytest mypy man-db bash-completion pkg-config
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install package asan format format-check deps clean help
+.PHONY: all demo test python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
+  readme-picture install package asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -20,7 +29,8 @@ demo: all ## build, then run the demonstration
 	@examples/demo.sh
 
 test: build/build.ninja ## build everything and run the tests
-	@.ci/packages $(docs_packages)
+	@.ci/packages $(test_packages)
+	@cmake -B build -D TERSE_BUILD_PYTHON=ON >/dev/null
 	@cmake --build build -j $(JOBS)
 	@ctest --test-dir build --output-on-failure -j $(JOBS) --output-junit test-results.xml; status=$$?; \
 	  echo "Results: build/test-results.xml, output: build/Testing/Temporary/LastTest.log"; exit $$status
@@ -50,11 +60,23 @@ compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM int
 	@for name in ellipse_norms ellipse-n_laps ellipse-n_growth; do \
 	  if [ -f build-bench/compact/$$name.svg ]; then cp build-bench/compact/$$name.svg docs/images/; fi; done
 
-docs_packages = doxygen libjs-katex
-.PHONY: docs
+python: build/build.ninja ## build the Python package, build/python; PYTHON=... for another interpreter
+	@.ci/packages $(python_packages)
+	@cmake -B build -D TERSE_BUILD_PYTHON=ON $(if $(PYTHON),-D TERSE_PYTHON=$(PYTHON)) >/dev/null
+	@cmake --build build -j $(JOBS) --target terse_python
+	@echo "The package terse is in build/python: PYTHONPATH=$(CURDIR)/build/python python3 -c 'import terse'"
+
 docs: build/build.ninja ## make the pages of docs/ and of the headers, build/docs/html/index.html
 	@.ci/packages $(docs_packages)
 	@cmake --build build --target docs
+
+report-page: ## bundle examples/report/src into examples/report/report.html, which is committed (needs the npm registry)
+	@.ci/packages $(node_packages)
+	@cd examples/report && npm ci --loglevel=error && npm run --silent build
+
+readme-picture: demo ## draw the README's picture from what the demonstration leaves behind
+	@build/bin/terse plot demo_output/apal demo_output/fpfl --what trajectory --output build/pictures --quiet
+	@cp build/pictures/trajectory.svg docs/images/demo.svg
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'
@@ -86,7 +108,7 @@ build/build.ninja: CMakePresets.json | deps
 	@cmake --preset release >/dev/null && touch $@
 
 build-asan/build.ninja: CMakePresets.json | deps
-	@.ci/packages $(asan_packages)
+	@.ci/packages $(asan_packages) $(plot_packages)
 	@cmake --preset asan-ubsan >/dev/null && touch $@
 
 build-bench/build.ninja: CMakePresets.json | deps

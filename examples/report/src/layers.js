@@ -97,23 +97,26 @@ void main() {
   level = value;
 }`;
 
-// value < 0: the plain colour; else a place on the scale, 0 .. 1. Dashed where the value is below `dash_below`.
-const kSegmentFragment = `
+// level < 0: the plain colour; else a place on the scale, 0 .. 1.
+const kLevelColour = `
 uniform vec3 colour;
 uniform vec3 scale_colours[${kRampSize}];
+vec3 level_colour(float level) {
+  if (level < 0.0) return colour;
+  float x = min(level, 0.9999) * ${(kRampSize - 1).toFixed(1)};
+  int i = int(x);
+  return mix(scale_colours[i], scale_colours[i + 1], x - float(i));
+}`;
+
+// Dashed where the value is below `dash_below`.
+const kSegmentFragment = `${kLevelColour}
 uniform float width, pixelRatio, opacity, dash_below;
 varying float level, along, across;
 void main() {
   if (level < dash_below && mod(along, 7.0) > 4.0) discard;
   float alpha = clamp(0.5 * (width * pixelRatio + 1.0) - abs(across), 0.0, 1.0) * opacity;
   if (alpha <= 0.02) discard;
-  vec3 rgb = colour;
-  if (level >= 0.0) {
-    float x = min(level, 0.9999) * ${(kRampSize - 1).toFixed(1)};
-    int i = int(x);
-    rgb = mix(scale_colours[i], scale_colours[i + 1], x - float(i));
-  }
-  gl_FragColor = vec4(rgb, alpha);
+  gl_FragColor = vec4(level_colour(level), alpha);
 }`;
 
 function segmentGeometry(capacity, usage) {
@@ -162,6 +165,42 @@ export function segments(list, {width, lift = 0, opacity = 1, order = 0, dashBel
     show(items.length);
   };
   return {object, uniforms, show, replace};
+}
+
+const kHairVertex = `
+attribute float value;
+uniform float lift;
+varying float level;
+void main() {
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  ${kLift}
+  level = value;
+}`;
+
+const kHairFragment = `${kLevelColour}
+uniform float opacity;
+varying float level;
+void main() { gl_FragColor = vec4(level_colour(level), opacity); }`;
+
+// As `segments`, for many: one pixel of the screen wide, and much less to draw.
+export function hairlines(list, {lift = 0, opacity = 1, order = 0}) {
+  const geometry = new BufferGeometry();
+  const position = new Float32Array(6 * list.length), value = new Float32Array(2 * list.length);
+  list.forEach(([a, b, v], i) => {
+    position.set(a, 6 * i);
+    position.set(b, 6 * i + 3);
+    value.fill(v, 2 * i, 2 * i + 2);
+  });
+  geometry.setAttribute('position', new BufferAttribute(position, 3));
+  geometry.setAttribute('value', new BufferAttribute(value, 1));
+  const uniforms = {lift: {value: lift}, opacity: {value: opacity}, colour: colourUniform(), scale_colours: shared.gains};
+  const object = prepare(new LineSegments(geometry, material(kHairVertex, kHairFragment, uniforms, {depthWrite: false})), order);
+  const show = (count) => {
+    geometry.setDrawRange(0, 2 * count);
+    object.visible = count > 0;
+  };
+  show(0);
+  return {object, uniforms, show};
 }
 
 // Unit sphere as triangles, and three of its great circles as lines; deformed per instance by a centre and three half axes.

@@ -268,7 +268,7 @@ class Page {
     this.maps.forEach((map, r) => map.setStep(this.indexOf(r)));
     this.view?.request();
     this.plots.setPosition(this.timeline.position);
-    this.showPanels();
+    this.showPanelsSoon();
     this.paneCounts();
     const sum = (of) => this.runs.map((run, r) => of(run, this.indexOf(r), r)).map(integer).join(' | ');
     this.chipCounts.kept.textContent = sum((run, k) => run.keptBy[k] ?? 0);
@@ -276,7 +276,21 @@ class Page {
     this.chipCounts.links.textContent = sum((run, k) => run.linksBy[k] ?? 0);
   }
 
+  // While the slider plays the text changes ten times a second, which is more than can be read.
+  showPanelsSoon() {
+    const wait = this.timeline.playing ? this.panelsAt + 100 - performance.now() : 0;
+    if (!(wait > 0)) {
+      this.showPanels();
+    } else if (!this.panelsTimer) {
+      this.panelsTimer = setTimeout(() => {
+        this.panelsTimer = null;
+        this.showPanels();
+      }, wait);
+    }
+  }
+
   showPanels() {
+    this.panelsAt = performance.now();
     this.runs.forEach((run, r) => showDecision(this.panels[r], run, this.indexOf(r), {
       named: this.several, chosen: this.chosen[r][this.chosen[r].length - 1] ?? null,
       onStep: (k) => this.timeline.jump(this.alignment.indices[r].findIndex((i) => i >= k)),

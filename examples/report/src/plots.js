@@ -56,6 +56,24 @@ function powersOfTen(u, axis, low, high) {
   return Array.from({length: Math.floor((to - from) / stride) + 1}, (_, i) => 10 ** (from + i * stride));
 }
 
+// Squares for many dots, one where several would cover each other.
+const squares = (size) => (u, k, from, to) => {
+  const path = new Path2D(), taken = new Set(), side = size * devicePixelRatio;
+  for (let i = from; i <= to; i++) {
+    if (u.data[k][i] == null) continue;
+    const x = Math.round(u.valToPos(i, 'x', true) / side), y = Math.round(u.valToPos(u.data[k][i], 'y', true) / side);
+    if (taken.has(x * 65536 + y)) continue;
+    taken.add(x * 65536 + y);
+    path.rect((x - 0.5) * side, (y - 0.5) * side, side, side);
+  }
+  return {fill: path, stroke: null, clip: null, flags: 3};
+};
+
+function dotsOf(one, few) {
+  if (!few) return {show: true, size: 3, width: 0, stroke: one.colour, fill: one.hollow ? `${one.colour}60` : one.colour, paths: squares(2)};
+  return {show: true, size: 5, width: 1, stroke: one.colour, fill: one.hollow ? 'transparent' : one.colour};
+}
+
 export class Plots {
   constructor(node, runs, onStep) {
     Object.assign(this, {node, runs, onStep, plots: [], position: 0});
@@ -140,7 +158,7 @@ export class Plots {
         {...axis, size: 56, space: 28, ...(chart.log ? {splits: powersOfTen, filter: (u, list) => list} : {}), values: (u, list) => list.map((x) => (x == null ? '' : format(x)))}],
       series: [{}, ...series.map((one) => ({
         label: one.label, stroke: one.colour, width: 1.5, dash: one.dash ? [5, 4] : undefined, spanGaps: true,
-        ...(one.dots ? {paths: () => null, points: {show: true, size: few ? 5 : 3, width: 1, stroke: one.colour, fill: one.hollow ? 'transparent' : one.colour}}
+        ...(one.dots ? {paths: () => null, points: dotsOf(one, few)}
           : {points: {show: false}}),
       }))],
       hooks: {draw: [drawThresholds]},

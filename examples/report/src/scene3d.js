@@ -5,7 +5,7 @@ import {Scene} from 'three';
 import {kRampSize, rgbVariable} from './colour.js';
 import {isNumber, kChi2} from './data.js';
 import {principalAxes} from './eigen.js';
-import {colourUniform, dots, ellipsoids, marker, segments} from './layers.js';
+import {colourUniform, dots, ellipsoids, hairlines, marker, segments} from './layers.js';
 
 export const kLayers = ['kept', 'dropped', 'odometry', 'links', 'truth', 'candidates', 'ellipsoids'];
 const kMostCandidates = 512, kMostChosen = 64;  // drawn at a time
@@ -30,7 +30,7 @@ export class MapScene {
     this.visible = Object.fromEntries(kLayers.map((name) => [name, true]));
     this.step = run.n - 1;
     this.counts = {};  // of each layer: how many of its items are there at step k
-    const many = run.n > 2500, manyLinks = run.links.from.length > 5000;
+    const many = run.n > 2500, manyLinks = run.links.from.length > 6000;
     const add = (layer) => {
       this.scene.add(layer.object);
       return layer;
@@ -39,8 +39,8 @@ export class MapScene {
     this.layers = {
       truth: add(segments(this.path('truth', run.truth), {width: many ? 1 : 1.4, order: 1, lift: -1, opacity: 0.85})),
       odometry: add(segments(this.pairs('odometry', run.chain, 'to', () => -1), {width: many ? 1.1 : 1.5, order: 2})),
-      links: add(segments(this.pairs('links', run.links, 'step', level),
-        {width: manyLinks ? 1 : run.links.from.length > 500 ? 1.5 : 2.4, order: 3, opacity: manyLinks ? 0.6 : 0.9})),
+      links: add(manyLinks ? hairlines(this.pairs('links', run.links, 'step', level), {order: 3, opacity: 0.7})
+        : segments(this.pairs('links', run.links, 'step', level), {width: run.links.from.length > 500 ? 1.5 : 2.4, order: 3, opacity: 0.9})),
       dropped: add(dots(this.points('dropped', (i) => !run.kept[i]), {size: many ? 3.2 : 5, stroke: many ? 0 : 1.2, order: 4})),
       kept: add(dots(this.points('kept', (i) => run.kept[i]), {size: many ? 4 : 7, order: 5, lift: 2})),
     };

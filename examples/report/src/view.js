@@ -25,6 +25,7 @@ export class View {
     this.renderer.setScissorTest(true);
     this.renderer.autoClear = false;
     this.renderer.info.autoReset = false;
+    this.renderer.debug.checkShaderErrors = false;  // would wait for the graphics card
     this.frames = 0;
     this.radius = Math.max(0.5 * Math.hypot(...box.max.map((x, k) => x - box.min[k])), 1e-3);
     this.up = new Vector3(...vertical.up);
