@@ -61,7 +61,7 @@ function Link(target,    anchor, path) {
 # Links, pictures and formulas of a piece of text without code.
 function Convert(text,    out, end, latex, target, label) {
   out = ""
-  while (match(text, /\$\$?|!?\[[^\]\n]*\]\([^)\n]*\)/)) {
+  while (match(text, /\$\$?|!?\[[^]\[]*\]\([^)\n]*\)/)) {
     out = out substr(text, 1, RSTART - 1)
     found = substr(text, RSTART, RLENGTH)
     text = substr(text, RSTART + RLENGTH)
@@ -81,8 +81,8 @@ function Convert(text,    out, end, latex, target, label) {
     } else {
       label = found
       target = found
-      sub(/\]\(.*$/, "", label); sub(/^\[/, "", label)
-      sub(/^.*\]\(/, "", target); sub(/\)$/, "", target)
+      sub(/\]\(.*$/, "", label); sub(/^\[/, "", label); sub(/\n */, " ", label)
+      target = substr(target, index(target, "](") + 2); sub(/\)$/, "", target)
       target = Link(target)
       out = out (target == "" ? label : "[" label "](" target ")")
     }
