@@ -44,6 +44,12 @@ function Resolve(to,    parts, n, k, out, m) {
   return to
 }
 
+# Doxygen's name for the page with the text of a file.
+function SourcePage(path) {
+  sub(/^.*\//, "", path); gsub(/_/, "__", path); gsub(/\./, "_8", path)
+  return path "_source.html"
+}
+
 function Link(target,    anchor, path) {
   if (target ~ /^(https?:|mailto:)/) return target
   anchor = ""
@@ -54,7 +60,7 @@ function Link(target,    anchor, path) {
   path = target == "" ? page : Resolve(target)
   if (path ~ /^docs\/.*\.md$/) return "@ref " Label(path) (anchor == "" ? "" : "_" anchor)
   if (path ~ /^[a-z]+\/include\/.*\.h$/) return "@ref " substr(path, index(path, "/include/") + 9)
-  if (path ~ /^examples\/[0-9].*\.cpp$/) return "@ref " path
+  if (path ~ /^examples\/[0-9].*\.cpp$/) return SourcePage(path)
   return ""  # nothing of the published pages: the text alone
 }
 
