@@ -33,6 +33,31 @@ function Indentation(line) {
   return substr(line, 1, RLENGTH)
 }
 
+# Prints lines `first` to `last`, all comment, with "///" for "//". Indented ones behind a colon, a comma before an
+# equation or an empty line are formulas or code, and stay as they are.
+function PrintBlock(first, last, indentation,    k, text, before, next_text, verbatim, listed) {
+  for (k = first; k <= last; ++k) {
+    text = Text(line[k])
+    next_text = k < last ? Text(line[k + 1]) : ""
+    if (text ~ /^ ?([0-9]+\.|-) /) listed = 1
+    else if (text ~ /^[^ ]/ || text == "") listed = 0
+    if (verbatim) {
+      before = text
+      if (next_text !~ /^  /) {
+        before = before " \\endverbatim"
+        verbatim = 0
+      }
+    } else {
+      before = Escape(text)
+      if (!listed && text !~ /^  / && next_text ~ /^  / && (text == "" || text ~ /:$/ || (text ~ /,$/ && next_text ~ / = /))) {
+        before = before " \\verbatim"
+        verbatim = 1
+      }
+    }
+    print indentation "/// " before
+  }
+}
+
 function IsComment(line) { return line ~ /^[ \t]*\/\// }
 function IsDeclaration(line) {
   return line !~ /^[ \t]*$/ && line !~ /^[ \t]*[})#]/ && line !~ /^[ \t]*(public|protected|private):/ && !IsComment(line)
@@ -47,7 +72,9 @@ END {
   while (i <= NR && line[i] !~ /^#pragma once/) print line[i++]
   if (IsComment(line[i + 1])) {
     print "/// \\file"
-    while (IsComment(line[++i])) print "/// " Escape(Text(line[i]))
+    first = ++i
+    while (IsComment(line[i + 1])) ++i
+    PrintBlock(first, i++, "")
     name = FILENAME
     sub(/^.*\/include\//, "", name)
     copy = "/** \\copydoc " name " */ "
@@ -63,11 +90,8 @@ END {
       first = i
       while (IsComment(line[i + 1])) ++i
       documented = IsDeclaration(line[i + 1])
-      for (k = first; k <= i; ++k) {
-        if (line[k] ~ /NOLINT/) print ""
-        else if (documented) print Indentation(line[k]) "/// " Escape(Text(line[k]))
-        else print line[k]
-      }
+      if (documented && line[first] !~ /NOLINT/) PrintBlock(first, i, Indentation(line[first]))
+      else for (k = first; k <= i; ++k) print line[k] ~ /NOLINT/ ? "" : line[k]
       continue
     }
     documented = 0
