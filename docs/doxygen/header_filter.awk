@@ -1,8 +1,8 @@
 # Makes documentation comments for Doxygen out of the plain ones of a public header.
 #
-# - The comment behind #pragma once becomes the file's, and that of its first class if this has no other.
+# - The comment behind #pragma once becomes the file's, and that of its first class without one.
 # - A block of comment lines becomes that of the declaration in the next line.
-# - A comment behind a declaration becomes its documentation, if it has none yet; else it is appended.
+# - A comment behind a declaration becomes its documentation.
 # What comes out has as many lines as what goes in, so that links to the source lead to the right line.
 
 function Escape(text) {
@@ -65,9 +65,13 @@ function IsDeclaration(line) {
 
 { line[NR] = $0 }
 
-function IsClass(line) { return line ~ /^class [A-Za-z]+( final)?( :.*)? \{/ }
+# Of a file without classes the structs.
+function IsClass(line) { return line ~ ("^" kind " [A-Za-z]+( final)?( :.*)? \\{") }
 
 END {
+  kind = "class"
+  for (i = 1; i <= NR && !IsClass(line[i]); ++i) continue
+  if (i > NR) kind = "struct"
   i = 1
   while (i <= NR && line[i] !~ /^#pragma once/) print line[i++]
   if (IsComment(line[i + 1])) {
