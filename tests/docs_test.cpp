@@ -88,20 +88,19 @@ std::set<std::string> Anchors(const fs::path& path) {
 }
 
 TEST(Docs, LinksAndPicturesExist) {
-  const std::regex link(R"(\[[^\]]*\]\(([^)#]*)#?([^)]*)\))");
+  const std::regex link(R"(\[[^\]]*\]\(([^)#]*)#?([^)]*)\))");  // the text may go over the end of a line
   for (const fs::path& path : PagePaths()) {
-    const Page page = ReadPage(path);
-    for (std::size_t k = 0; k < page.text.size(); ++k) {
-      const std::string& line = page.text[k];
-      for (auto found = std::sregex_iterator(line.begin(), line.end(), link); found != std::sregex_iterator();
-           ++found) {
-        const std::string target = (*found)[1], anchor = (*found)[2];
-        if (target.rfind("http", 0) == 0) continue;
-        const fs::path file = target.empty() ? path : path.parent_path() / target;
-        EXPECT_TRUE(fs::exists(file)) << path << ':' << k + 1 << ": " << target << " does not exist";
-        if (anchor.empty() || !fs::exists(file)) continue;
-        EXPECT_EQ(Anchors(file).count(anchor), 1u) << path << ':' << k + 1 << ": " << target << " has no #" << anchor;
-      }
+    std::string text;
+    for (const std::string& line : ReadPage(path).text) text += line + '\n';
+    for (auto found = std::sregex_iterator(text.begin(), text.end(), link); found != std::sregex_iterator(); ++found) {
+      const std::string target = (*found)[1], anchor = (*found)[2];
+      if (target.rfind("http", 0) == 0) continue;
+      const auto end = text.begin() + found->position() + found->length();
+      const std::string where = path.string() + ":" + std::to_string(1 + std::count(text.begin(), end, '\n'));
+      const fs::path file = target.empty() ? path : path.parent_path() / target;
+      EXPECT_TRUE(fs::exists(file)) << where << ": " << target << " does not exist";
+      if (anchor.empty() || !fs::exists(file)) continue;
+      EXPECT_EQ(Anchors(file).count(anchor), 1u) << where << ": " << target << " has no #" << anchor;
     }
   }
 }

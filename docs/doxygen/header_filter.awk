@@ -1,8 +1,8 @@
 # Makes documentation comments for Doxygen out of the plain ones of a public header.
 #
-# - The comment behind #pragma once becomes the file's, and that of its first class if this has no other.
+# - The comment behind #pragma once becomes the file's, and that of its first class without one.
 # - A block of comment lines becomes that of the declaration in the next line.
-# - A comment behind a declaration becomes its documentation, if it has none yet; else it is appended.
+# - A comment behind a declaration becomes its documentation.
 # What comes out has as many lines as what goes in, so that links to the source lead to the right line.
 
 function Escape(text) {
@@ -33,6 +33,31 @@ function Indentation(line) {
   return substr(line, 1, RLENGTH)
 }
 
+# Prints lines `first` to `last`, all comment, with "///" for "//". Indented ones behind a colon, a comma before an
+# equation or an empty line are formulas or code, and stay as they are.
+function PrintBlock(first, last, indentation,    k, text, before, next_text, verbatim, listed) {
+  for (k = first; k <= last; ++k) {
+    text = Text(line[k])
+    next_text = k < last ? Text(line[k + 1]) : ""
+    if (text ~ /^ ?([0-9]+\.|-) /) listed = 1
+    else if (text ~ /^[^ ]/ || text == "") listed = 0
+    if (verbatim) {
+      before = text
+      if (next_text !~ /^  /) {
+        before = before " \\endverbatim"
+        verbatim = 0
+      }
+    } else {
+      before = Escape(text)
+      if (!listed && text !~ /^  / && next_text ~ /^  / && (text == "" || text ~ /:$/ || (text ~ /,$/ && next_text ~ / = /))) {
+        before = before " \\verbatim"
+        verbatim = 1
+      }
+    }
+    print indentation "/// " before
+  }
+}
+
 function IsComment(line) { return line ~ /^[ \t]*\/\// }
 function IsDeclaration(line) {
   return line !~ /^[ \t]*$/ && line !~ /^[ \t]*[})#]/ && line !~ /^[ \t]*(public|protected|private):/ && !IsComment(line)
@@ -40,14 +65,20 @@ function IsDeclaration(line) {
 
 { line[NR] = $0 }
 
-function IsClass(line) { return line ~ /^class [A-Za-z]+( final)?( :.*)? \{/ }
+# Of a file without classes the structs.
+function IsClass(line) { return line ~ ("^" kind " [A-Za-z]+( final)?( :.*)? \\{") }
 
 END {
+  kind = "class"
+  for (i = 1; i <= NR && !IsClass(line[i]); ++i) continue
+  if (i > NR) kind = "struct"
   i = 1
   while (i <= NR && line[i] !~ /^#pragma once/) print line[i++]
   if (IsComment(line[i + 1])) {
     print "/// \\file"
-    while (IsComment(line[++i])) print "/// " Escape(Text(line[i]))
+    first = ++i
+    while (IsComment(line[i + 1])) ++i
+    PrintBlock(first, i++, "")
     name = FILENAME
     sub(/^.*\/include\//, "", name)
     copy = "/** \\copydoc " name " */ "
@@ -63,11 +94,8 @@ END {
       first = i
       while (IsComment(line[i + 1])) ++i
       documented = IsDeclaration(line[i + 1])
-      for (k = first; k <= i; ++k) {
-        if (line[k] ~ /NOLINT/) print ""
-        else if (documented) print Indentation(line[k]) "/// " Escape(Text(line[k]))
-        else print line[k]
-      }
+      if (documented && line[first] !~ /NOLINT/) PrintBlock(first, i, Indentation(line[first]))
+      else for (k = first; k <= i; ++k) print line[k] ~ /NOLINT/ ? "" : line[k]
       continue
     }
     documented = 0

@@ -44,6 +44,12 @@ function Resolve(to,    parts, n, k, out, m) {
   return to
 }
 
+# Doxygen's name for the page with the text of a file.
+function SourcePage(path) {
+  sub(/^.*\//, "", path); gsub(/_/, "__", path); gsub(/\./, "_8", path)
+  return path "_source.html"
+}
+
 function Link(target,    anchor, path) {
   if (target ~ /^(https?:|mailto:)/) return target
   anchor = ""
@@ -54,14 +60,14 @@ function Link(target,    anchor, path) {
   path = target == "" ? page : Resolve(target)
   if (path ~ /^docs\/.*\.md$/) return "@ref " Label(path) (anchor == "" ? "" : "_" anchor)
   if (path ~ /^[a-z]+\/include\/.*\.h$/) return "@ref " substr(path, index(path, "/include/") + 9)
-  if (path ~ /^examples\/[0-9].*\.cpp$/) return "@ref " path
+  if (path ~ /^examples\/[0-9].*\.cpp$/) return SourcePage(path)
   return ""  # nothing of the published pages: the text alone
 }
 
 # Links, pictures and formulas of a piece of text without code.
 function Convert(text,    out, end, latex, target, label) {
   out = ""
-  while (match(text, /\$\$?|!?\[[^\]\n]*\]\([^)\n]*\)/)) {
+  while (match(text, /\$\$?|!?\[[^]\[]*\]\([^)\n]*\)/)) {
     out = out substr(text, 1, RSTART - 1)
     found = substr(text, RSTART, RLENGTH)
     text = substr(text, RSTART + RLENGTH)
@@ -81,8 +87,8 @@ function Convert(text,    out, end, latex, target, label) {
     } else {
       label = found
       target = found
-      sub(/\]\(.*$/, "", label); sub(/^\[/, "", label)
-      sub(/^.*\]\(/, "", target); sub(/\)$/, "", target)
+      sub(/\]\(.*$/, "", label); sub(/^\[/, "", label); sub(/\n */, " ", label)
+      target = substr(target, index(target, "](") + 2); sub(/\)$/, "", target)
       target = Link(target)
       out = out (target == "" ? label : "[" label "](" target ")")
     }
