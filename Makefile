@@ -6,10 +6,13 @@ GRAPHS ?= ../shared/data/graphs
 
 packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
+python_packages = pybind11-dev python3-dev python3-numpy
+python_test_packages = python3-matplotlib python3-pytest mypy
+PYTHON ?=
 bench_packages = libbenchmark-dev libceres-dev
-sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
+sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install asan format format-check deps clean help
+.PHONY: all demo test python with-python bench bench-docs micro-bench consistency-docs compact-docs outliers-docs install asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
 all: build/build.ninja ## build the command, build/bin/terse
@@ -18,10 +21,25 @@ all: build/build.ninja ## build the command, build/bin/terse
 demo: all ## build, then run the demonstration
 	@examples/demo.sh
 
-test: build/build.ninja ## build everything and run the tests
+test: with-python ## build everything and run the tests
+	@.ci/packages $(python_test_packages)
 	@cmake --build build -j $(JOBS)
 	@ctest --test-dir build --output-on-failure -j $(JOBS) --output-junit test-results.xml; status=$$?; \
 	  echo "Results: build/test-results.xml, output: build/Testing/Temporary/LastTest.log"; exit $$status
+
+python: with-python ## build the Python package, build/python/terse; PYTHON=/path/to/python3 for another interpreter
+	@cmake --build build -j $(JOBS) --target terse_python
+	@echo "To use it: PYTHONPATH=$(CURDIR)/build/python $(python_used)   (docs/python.md)"
+
+python_used = $$(sed -n 's/^TERSE_PYTHON_USED:INTERNAL=//p' build/CMakeCache.txt)
+# Switched on once; after that `make all` and `make install` know of it too.
+with-python: export python = $(PYTHON)
+with-python: build/build.ninja
+	@$(if $(PYTHON),,.ci/packages $(python_packages))
+	@if ! grep -qx 'TERSE_BUILD_PYTHON:BOOL=ON' build/CMakeCache.txt || [ "$${python:-$(python_used)}" != "$(python_used)" ]; then \
+	  cmake -S . -B build -D TERSE_BUILD_PYTHON=ON $${python:+-D TERSE_PYTHON="$$python"} >/dev/null || \
+	  { cmake -S . -B build -D TERSE_BUILD_PYTHON=OFF -U TERSE_PYTHON >/dev/null; exit 1; }; \
+	fi
 
 bench: build-bench/build.ninja ## build and run the benchmarks; BENCH_ARGS='--graphs sphere2500 --only batch', --help
 	@cmake --build build-bench -j $(JOBS) --target terse_bench
