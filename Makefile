@@ -2,23 +2,24 @@
 
 PREFIX ?= /usr/local
 JOBS ?= $(shell nproc)
+PYTHON ?=
 GRAPHS ?= ../shared/data/graphs
 
 packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
 package_packages = dpkg-dev file gzip
 docs_packages = doxygen libjs-katex
-python_packages = pybind11-dev python3-dev python3-numpy python3-matplotlib
+python_packages = pybind11-dev python3-dev python3-numpy
 plot_packages = librsvg2-bin
 bench_packages = libbenchmark-dev libceres-dev
 # Where node comes from elsewhere, Debian's npm would conflict with it.
 node_packages = $(if $(shell command -v npm),,nodejs npm)
 browser_packages = $(if $(shell command -v chromium || command -v chromium-browser || command -v google-chrome),,chromium)
 test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_packages) $(node_packages) $(browser_packages) \
-  python3-pytest mypy man-db bash-completion pkg-config
-sources = $(shell find $(wildcard lie core covariance compact frontend examples tests) -name '*.h' -o -name '*.cpp')
+  python3-matplotlib python3-pytest mypy man-db bash-completion pkg-config
+sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
+.PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
   readme-picture install package asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
@@ -28,12 +29,26 @@ all: build/build.ninja ## build the command, build/bin/terse
 demo: all ## build, then run the demonstration
 	@examples/demo.sh
 
-test: build/build.ninja ## build everything and run the tests
+test: with-python ## build everything and run the tests
 	@.ci/packages $(test_packages)
-	@cmake -B build -D TERSE_BUILD_PYTHON=ON >/dev/null
+	@cmake -S . -B build >/dev/null # finds what was just installed
 	@cmake --build build -j $(JOBS)
 	@ctest --test-dir build --output-on-failure -j $(JOBS) --output-junit test-results.xml; status=$$?; \
 	  echo "Results: build/test-results.xml, output: build/Testing/Temporary/LastTest.log"; exit $$status
+
+python: with-python ## build the Python package, build/python/terse; PYTHON=/path/to/python3 for another interpreter
+	@cmake --build build -j $(JOBS) --target terse_python
+	@echo "To use it: PYTHONPATH=$(CURDIR)/build/python $(python_used)   (docs/python.md)"
+
+python_used = $$(sed -n 's/^TERSE_PYTHON_USED:INTERNAL=//p' build/CMakeCache.txt)
+# Switched on once; after that `make all` and `make install` know of it too.
+with-python: export python = $(PYTHON)
+with-python: build/build.ninja
+	@$(if $(PYTHON),,.ci/packages $(python_packages))
+	@if ! grep -qx 'TERSE_BUILD_PYTHON:BOOL=ON' build/CMakeCache.txt || [ "$${python:-$(python_used)}" != "$(python_used)" ]; then \
+	  cmake -S . -B build -D TERSE_BUILD_PYTHON=ON $${python:+-D TERSE_PYTHON="$$python"} >/dev/null || \
+	  { cmake -S . -B build -D TERSE_BUILD_PYTHON=OFF -U TERSE_PYTHON >/dev/null; exit 1; }; \
+	fi
 
 bench: build-bench/build.ninja ## build and run the benchmarks; BENCH_ARGS='--graphs sphere2500 --only batch', --help
 	@cmake --build build-bench -j $(JOBS) --target terse_bench
@@ -59,12 +74,6 @@ compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM int
 	@build-bench/bin/terse table compact $(GRAPHS) --update docs/compact.md --output build-bench/compact $(BENCH_ARGS)
 	@for name in ellipse_norms ellipse-n_laps ellipse-n_growth; do \
 	  if [ -f build-bench/compact/$$name.svg ]; then cp build-bench/compact/$$name.svg docs/images/; fi; done
-
-python: build/build.ninja ## build the Python package, build/python; PYTHON=... for another interpreter
-	@.ci/packages $(python_packages)
-	@cmake -B build -D TERSE_BUILD_PYTHON=ON $(if $(PYTHON),-D TERSE_PYTHON=$(PYTHON)) >/dev/null
-	@cmake --build build -j $(JOBS) --target terse_python
-	@echo "The package terse is in build/python: PYTHONPATH=$(CURDIR)/build/python python3 -c 'import terse'"
 
 docs: build/build.ninja ## make the pages of docs/ and of the headers, build/docs/html/index.html
 	@.ci/packages $(docs_packages)

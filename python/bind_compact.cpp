@@ -38,7 +38,8 @@ decltype(auto) Read(const Slam& slam, const F& f) {
 Slam MakeSlam(const CompactSettings& settings) {
   return std::visit(
       [](const auto& options) {
-        using Pose = std::conditional_t<std::decay_t<decltype(options.link_covariance)>::RowsAtCompileTime == 3, SE2, SE3>;
+        using Pose =
+            std::conditional_t<std::decay_t<decltype(options.link_covariance)>::RowsAtCompileTime == 3, SE2, SE3>;
         return Slam{std::make_shared<CompactPoseSlam<Pose>>(options)};
       },
       settings.options);
@@ -50,7 +51,8 @@ CompactInput<Pose> InputFrom(const Input& from) {
   to.id = PoseId{from.id};
   if (!from.odometry.is_none()) {
     const Factor<Pose> odometry = FactorFrom<Pose>(from.odometry);
-    if (!std::holds_alternative<RelativePoseFactor<Pose>>(odometry)) throw py::type_error("odometry: expected a RelativePose");
+    if (!std::holds_alternative<RelativePoseFactor<Pose>>(odometry))
+      throw py::type_error("odometry: expected a RelativePose");
     to.odometry = std::get<RelativePoseFactor<Pose>>(odometry);
   }
   if (from.T_world_body) to.T_world_body = PoseFrom<Pose>(*from.T_world_body, "T_world_body");
@@ -86,7 +88,8 @@ Registration<Pose> RegistrationFrom(const py::object& source) {
     return Expect<std::shared_ptr<GraphReplay<Pose>>>(source.cast<const Replay&>().replay, "registration")
         ->AsRegistration();
   }
-  if (PyCallable_Check(source.ptr()) == 0) throw py::type_error("registration: expected a function, a GraphReplay or None");
+  if (PyCallable_Check(source.ptr()) == 0)
+    throw py::type_error("registration: expected a function, a GraphReplay or None");
   return CallbackOf<Pose>(source);
 }
 
@@ -154,8 +157,9 @@ Marginals MarginalsOf(const Slam& slam) {
     using Pose = std::decay_t<decltype(held.Solver().EstimateAt(0))>;
     auto graph = std::make_shared<const AnyPoseGraph>(held.Solver().Graph());
     const py::gil_scoped_release release;
-    auto queries = std::make_shared<const terse::Marginals<Pose>>(
-        std::get<PoseGraph<Pose>>(*graph), held.Solver().Estimates(), BlockCholesky<Pose::kDof>(held.Solver().Factor()));
+    auto queries =
+        std::make_shared<const terse::Marginals<Pose>>(std::get<PoseGraph<Pose>>(*graph), held.Solver().Estimates(),
+                                                       BlockCholesky<Pose::kDof>(held.Solver().Factor()));
     return {std::move(queries), std::move(graph)};
   });
 }
@@ -189,99 +193,126 @@ Slam Load(const Path& path) {
 using Type = py::class_<Slam>;
 
 void BindAdding(Type& type) {
-  type.def("add_pose", [](const Slam& slam, std::int64_t id, py::object odometry, const py::object& registration,
-                          std::optional<Array> T, bool fixed, py::object priors) {
-             return Add(slam, Input{id, std::move(odometry), std::move(T), fixed, std::move(priors), std::nullopt, false},
-                        registration);
-           },
-           py::arg("pose_id"), py::arg("odometry") = py::none(), py::arg("registration") = py::none(), py::kw_only(),
-           py::arg("T_world_body") = py::none(), py::arg("fixed") = false, py::arg("priors") = py::tuple(),
-           "Decides on a new pose (Decision).\n\n"
-           "odometry: RelativePose between it and an earlier pose, kept or dropped, in either direction; None for the very "
-           "first one only.\n"
-           "registration: function (candidate_id, current_id) -> RelativePose between the two, in either direction, or None "
-           "where they do not match; asked for the few candidates that are worth it. A GraphReplay answers without Python.\n"
-           "T_world_body: of the first pose (else the identity) and of a fixed one: (3,), (3, 3), (7,) or (4, 4). fixed: keep "
-           "it, anchored there. priors: PosePrior and PositionPrior objects on it; a pose with priors is kept.\n"
-           "ValueError or NumericalError, and then nothing has changed. What the registration raises passes through; links "
-           "accepted before it, and the pose with them, stay, and the object can be used on. Without the GIL but in the "
-           "registration, which may read this object but not change it.")
-      .def("add", &Add, py::arg("input"), py::arg("registration") = py::none(),
-           "As add_pose, from a CompactInput.")
+  type.def(
+          "add_pose",
+          [](const Slam& slam, std::int64_t id, py::object odometry, const py::object& registration,
+             std::optional<Array> T, bool fixed, py::object priors) {
+            return Add(slam,
+                       Input{id, std::move(odometry), std::move(T), fixed, std::move(priors), std::nullopt, false},
+                       registration);
+          },
+          py::arg("pose_id"), py::arg("odometry") = py::none(), py::arg("registration") = py::none(), py::kw_only(),
+          py::arg("T_world_body") = py::none(), py::arg("fixed") = false, py::arg("priors") = py::tuple(),
+          "Decides on a new pose (Decision).\n\n"
+          "odometry: RelativePose between it and an earlier pose, kept or dropped, in either direction; None for the "
+          "very "
+          "first one only.\n"
+          "registration: function (candidate_id, current_id) -> RelativePose between the two, in either direction, or "
+          "None "
+          "where they do not match; asked for the few candidates that are worth it. A GraphReplay answers without "
+          "Python.\n"
+          "T_world_body: of the first pose (else the identity) and of a fixed one: (3,), (3, 3), (7,) or (4, 4). "
+          "fixed: keep "
+          "it, anchored there. priors: PosePrior and PositionPrior objects on it; a pose with priors is kept.\n"
+          "ValueError or NumericalError, and then nothing has changed. What the registration raises passes through; "
+          "links "
+          "accepted before it, and the pose with them, stay, and the object can be used on. Without the GIL but in the "
+          "registration, which may read this object but not change it.")
+      .def("add", &Add, py::arg("input"), py::arg("registration") = py::none(), "As add_pose, from a CompactInput.")
       .def("run", &Run, py::arg("replay"), py::kw_only(), py::arg("progress") = py::none(),
-           "Adds all poses of a GraphReplay, which registers: a list of Decision. progress: called with (done, total); it "
+           "Adds all poses of a GraphReplay, which registers: a list of Decision. progress: called with (done, total); "
+           "it "
            "returns False to stop. Without the GIL; Ctrl-C works.")
-      .def("add_link", [](const Slam& slam, const RelativePose& link) {
-             const Lock lock(*slam.guard, Lock::kChanging);
-             return std::visit(
-                 [&](const auto& held) {
-                   const auto factor = LinkFrom<decltype(OriginOf(held))>(link);
-                   const py::gil_scoped_release release;
-                   return held->AddLink(factor);
-                 },
-                 slam.slam);
-           },
-           py::arg("link"),
-           "A link that comes late, between any two poses seen (LinkDecision): carried to the kept poses, then tested.")
-      .def("remove_link", [](const Slam& slam, std::int64_t id) {
-             const Lock lock(*slam.guard, Lock::kChanging);
-             const py::gil_scoped_release release;
-             std::visit([&](const auto& held) { held->RemoveLink(FactorId{id}); }, slam.slam);
-           },
-           py::arg("factor_id"), "Takes a link out again that was found wrong. ValueError if there is none, or if it is odometry.")
-      .def("add_prior", [](const Slam& slam, const py::object& prior) {
-             const Lock lock(*slam.guard, Lock::kChanging);
-             return std::visit(
-                 [&](const auto& held) {
-                   const auto factor = FactorFrom<decltype(OriginOf(held))>(prior);
-                   const py::gil_scoped_release release;
-                   return held->AddPrior(factor).value;
-                 },
-                 slam.slam);
-           },
-           py::arg("prior"), "A prior that comes late, on any pose seen; its id. A position prior only on a kept pose.")
+      .def(
+          "add_link",
+          [](const Slam& slam, const RelativePose& link) {
+            const Lock lock(*slam.guard, Lock::kChanging);
+            return std::visit(
+                [&](const auto& held) {
+                  const auto factor = LinkFrom<decltype(OriginOf(held))>(link);
+                  const py::gil_scoped_release release;
+                  return held->AddLink(factor);
+                },
+                slam.slam);
+          },
+          py::arg("link"),
+          "A link that comes late, between any two poses seen (LinkDecision): carried to the kept poses, then tested.")
+      .def(
+          "remove_link",
+          [](const Slam& slam, std::int64_t id) {
+            const Lock lock(*slam.guard, Lock::kChanging);
+            const py::gil_scoped_release release;
+            std::visit([&](const auto& held) { held->RemoveLink(FactorId{id}); }, slam.slam);
+          },
+          py::arg("factor_id"),
+          "Takes a link out again that was found wrong. ValueError if there is none, or if it is odometry.")
+      .def(
+          "add_prior",
+          [](const Slam& slam, const py::object& prior) {
+            const Lock lock(*slam.guard, Lock::kChanging);
+            return std::visit(
+                [&](const auto& held) {
+                  const auto factor = FactorFrom<decltype(OriginOf(held))>(prior);
+                  const py::gil_scoped_release release;
+                  return held->AddPrior(factor).value;
+                },
+                slam.slam);
+          },
+          py::arg("prior"), "A prior that comes late, on any pose seen; its id. A position prior only on a kept pose.")
       .def("finish", &Finish, "Iterates the kept graph to its optimum (Solution). Without the GIL.");
 }
 
 void BindReading(Type& type) {
-  type.def_property_readonly("dimension", [](const Slam& s) { return DimensionOf(s.slam); }, "2 or 3.")
-      .def_property_readonly("options", [](const Slam& s) {
-                               return Read(s, [](const auto& held) {
-                                 return std::make_shared<CompactSettings>(CompactSettings{held.Options()});
-                               });
-                             },
-                             "CompactOptions that it was made with. A copy.")
-      .def_property_readonly("poses_seen", [](const Slam& s) { return Read(s, [](const auto& held) { return held.PosesSeen(); }); },
-                             "Poses added, kept or dropped.")
-      .def_property_readonly("poses_kept", [](const Slam& s) {
-                               return Read(s, [](const auto& held) { return held.Solver().Graph().Poses().size(); });
-                             },
-                             "Poses in the map.")
-      .def_property_readonly("links_kept", [](const Slam& s) { return Read(s, [](const auto& held) { return held.LinksKept(); }); },
-                             "Links in the map, beside the odometry.")
-      .def("estimate", [](const Slam& s, std::int64_t id) {
-             return Read(s, [&](const auto& held) { return ArrayOf(held.Estimate(PoseId{id})); });
-           },
-           py::arg("pose_id"), "T_world_body of any pose seen, (3,) or (7,), kept or dropped. A copy.")
-      .def("kept_base", [](const Slam& s, std::int64_t id) {
-             return Read(s, [&](const auto& held) { return held.KeptBase(PoseId{id}).value; });
-           },
-           py::arg("pose_id"), "The pose itself if kept, else the kept pose that it hangs on.")
+  type.def_property_readonly(
+          "dimension", [](const Slam& s) { return DimensionOf(s.slam); }, "2 or 3.")
+      .def_property_readonly(
+          "options",
+          [](const Slam& s) {
+            return Read(
+                s, [](const auto& held) { return std::make_shared<CompactSettings>(CompactSettings{held.Options()}); });
+          },
+          "CompactOptions that it was made with. A copy.")
+      .def_property_readonly(
+          "poses_seen", [](const Slam& s) { return Read(s, [](const auto& held) { return held.PosesSeen(); }); },
+          "Poses added, kept or dropped.")
+      .def_property_readonly(
+          "poses_kept",
+          [](const Slam& s) { return Read(s, [](const auto& held) { return held.Solver().Graph().Poses().size(); }); },
+          "Poses in the map.")
+      .def_property_readonly(
+          "links_kept", [](const Slam& s) { return Read(s, [](const auto& held) { return held.LinksKept(); }); },
+          "Links in the map, beside the odometry.")
+      .def(
+          "estimate",
+          [](const Slam& s, std::int64_t id) {
+            return Read(s, [&](const auto& held) { return ArrayOf(held.Estimate(PoseId{id})); });
+          },
+          py::arg("pose_id"), "T_world_body of any pose seen, (3,) or (7,), kept or dropped. A copy.")
+      .def(
+          "kept_base",
+          [](const Slam& s, std::int64_t id) {
+            return Read(s, [&](const auto& held) { return held.KeptBase(PoseId{id}).value; });
+          },
+          py::arg("pose_id"), "The pose itself if kept, else the kept pose that it hangs on.")
       .def("graph", &MapOf, "The map: kept poses at their estimates and kept links (PoseGraph). A copy.")
       .def("trajectory", &TrajectoryOf, py::arg("recovery") = "v2",
-           "All poses in order of arrival (CompactTrajectory). recovery, of dropped ones: 'v0' as estimated when dropped, "
+           "All poses in order of arrival (CompactTrajectory). recovery, of dropped ones: 'v0' as estimated when "
+           "dropped, "
            "'v1' chained to the kept pose before, 'v2' fitted between the kept poses around.")
       .def("marginals", &MarginalsOf,
            "Covariances of the kept poses as they are now (Marginals): a snapshot, the run can go on. Without the GIL.")
-      .def("chi2", [](const Slam& s) { return Read(s, [](const auto& held) { return held.Solver().Chi2(); }); },
-           "Sum of r' Omega r over the measurements of the map.")
-      .def("save", [](const Slam& s, const Path& path) {
-             Read(s, [&](const auto& held) {
-               const py::gil_scoped_release release;
-               held.Save(path.string());
-             });
-           },
-           py::arg("path"), "Writes the whole state to a file, whole or not at all. FileError. Without the GIL.")
+      .def(
+          "chi2", [](const Slam& s) { return Read(s, [](const auto& held) { return held.Solver().Chi2(); }); },
+          "Sum of r' Omega r over the measurements of the map.")
+      .def(
+          "save",
+          [](const Slam& s, const Path& path) {
+            Read(s, [&](const auto& held) {
+              const py::gil_scoped_release release;
+              held.Save(path.string());
+            });
+          },
+          py::arg("path"), "Writes the whole state to a file, whole or not at all. FileError. Without the GIL.")
       .def_static("load", &Load, py::arg("path"),
                   "What was saved; it continues bit for bit as that one would have. FileError. Without the GIL.");
 }
@@ -289,10 +320,12 @@ void BindReading(Type& type) {
 }  // namespace
 
 void BindCompact(py::module_& module) {
-  py::class_<Recovered>(module, "CompactTrajectory", "All poses of a compact run in order of arrival. The arrays own their memory.")
+  py::class_<Recovered>(module, "CompactTrajectory",
+                        "All poses of a compact run in order of arrival. The arrays own their memory.")
       .def_readonly("ids", &Recovered::ids, "(n,) int64.")
       .def_readonly("kept", &Recovered::kept, "(n,) bool: whether a pose is in the map.")
-      .def_readonly("poses", &Recovered::poses, "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body.")
+      .def_readonly("poses", &Recovered::poses,
+                    "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body.")
       .def("__len__", [](const Recovered& r) { return py::len(r.ids); });
   Type type(module, "CompactPoseSlam",
             "Keeps the poses and links of a run that carry information; the others come back in trajectory().\n\n"

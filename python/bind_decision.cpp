@@ -14,7 +14,8 @@ std::optional<std::int64_t> ValueOf(const std::optional<FactorId>& id) {
 
 void BindCandidate(py::module_& module) {
   py::class_<Candidate>(module, "Candidate", "A kept pose that a new one may be linked to.")
-      .def_property_readonly("pose_id", [](const Candidate& c) { return c.id.value; }, "Its id.")
+      .def_property_readonly(
+          "pose_id", [](const Candidate& c) { return c.id.value; }, "Its id.")
       .def_readonly("probability", &Candidate::probability, "Of being in range, least over the dimensions.")
       .def_readonly("gain", &Candidate::gain, "Nats, with the expected covariance of a link.")
       .def_readonly("tried", &Candidate::tried, "Whether it was registered.")
@@ -25,8 +26,9 @@ void BindCandidate(py::module_& module) {
       .def_readonly("outlier", &Candidate::outlier, "The innovation is too large: refused, whatever its gain.")
       .def_readonly("supported", &Candidate::supported, "It was, but others agree with it.")
       .def_readonly("accepted", &Candidate::accepted, "Whether the link is in the map.")
-      .def_property_readonly("factor_id", [](const Candidate& c) { return ValueOf(c.factor); },
-                             "Of the link if it was accepted, else None; remove_link takes it.")
+      .def_property_readonly(
+          "factor_id", [](const Candidate& c) { return ValueOf(c.factor); },
+          "Of the link if it was accepted, else None; remove_link takes it.")
       .def("__repr__", [](const Candidate& c) {
         return "<terse.Candidate " + std::to_string(c.id.value) + (c.accepted ? ", accepted>" : ">");
       });
@@ -37,10 +39,12 @@ void BindCandidate(py::module_& module) {
 void BindDecision(py::module_& module) {
   BindCandidate(module);
   py::class_<Decision>(module, "Decision", "What was decided on a pose, and on what grounds.")
-      .def_property_readonly("pose_id", [](const Decision& d) { return d.id.value; }, "The pose.")
+      .def_property_readonly(
+          "pose_id", [](const Decision& d) { return d.id.value; }, "The pose.")
       .def_property_readonly("kept", &Decision::Kept, "Whether it is in the map.")
-      .def_property_readonly("verdict", [](const Decision& d) { return Name(d.verdict); },
-                             "Why: first, all_kept, loop_closed, prior, nothing_in_range, informative, redundant or drawn.")
+      .def_property_readonly(
+          "verdict", [](const Decision& d) { return Name(d.verdict); },
+          "Why: first, all_kept, loop_closed, prior, nothing_in_range, informative, redundant or drawn.")
       .def_readonly("pose_gain", &Decision::pose_gain,
                     "Least gain of a possible link, nats; None if nothing was in range.")
       .def_readonly("registrations_tried", &Decision::registrations_tried, "How often the registration was asked.")
@@ -51,16 +55,18 @@ void BindDecision(py::module_& module) {
         return "<terse.Decision: pose " + std::to_string(d.id.value) + " " + Name(d.verdict) + ">";
       });
   py::class_<LinkDecision>(module, "LinkDecision", "What was decided on a link that came late.")
-      .def_property_readonly("from_id", [](const LinkDecision& d) { return d.from.value; },
-                             "The kept pose that its first end was carried to.")
-      .def_property_readonly("to_id", [](const LinkDecision& d) { return d.to.value; },
-                             "The kept pose that its second end was carried to.")
+      .def_property_readonly(
+          "from_id", [](const LinkDecision& d) { return d.from.value; },
+          "The kept pose that its first end was carried to.")
+      .def_property_readonly(
+          "to_id", [](const LinkDecision& d) { return d.to.value; },
+          "The kept pose that its second end was carried to.")
       .def_readonly("gain", &LinkDecision::gain, "Nats, with the measured covariance.")
       .def_readonly("innovation", &LinkDecision::innovation, "Squared Mahalanobis distance; None if it was not tested.")
       .def_readonly("outlier", &LinkDecision::outlier, "The innovation is too large.")
       .def_readonly("accepted", &LinkDecision::accepted, "Whether it is in the map.")
-      .def_property_readonly("factor_id", [](const LinkDecision& d) { return ValueOf(d.factor); },
-                             "If accepted, else None.");
+      .def_property_readonly(
+          "factor_id", [](const LinkDecision& d) { return ValueOf(d.factor); }, "If accepted, else None.");
 }
 
 }  // namespace terse::python

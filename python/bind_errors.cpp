@@ -1,5 +1,7 @@
 // The library's errors as Python's.
 
+#include <pybind11/stl.h>
+
 #include <fstream>
 
 #include "bindings.h"
@@ -65,10 +67,11 @@ void BindFreeMotion(py::module_& module) {
 }  // namespace
 
 void BindErrors(py::module_& module) {
-  file_error = NewError(module, "FileError",
-                        "A file that cannot be read or written. Attributes: path, line (from 1; 0: the file as a whole) "
-                        "and cause.",
-                        PyExc_RuntimeError);
+  file_error =
+      NewError(module, "FileError",
+               "A file that cannot be read or written. Attributes: path, line (from 1; 0: the file as a whole) "
+               "and cause.",
+               PyExc_RuntimeError);
   numerical_error =
       NewError(module, "NumericalError", "The linear system is singular or not finite.", PyExc_RuntimeError);
   unobservable_error = NewError(module, "UnobservableError",

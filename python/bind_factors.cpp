@@ -23,13 +23,12 @@ Measurement Checked(const Measurement& measurement) {
   return measurement;
 }
 
-RelativePose MakeRelativePose(std::int64_t from, std::int64_t to, const Array& T, const std::optional<Array>& information,
-                              const std::optional<Array>& covariance) {
+RelativePose MakeRelativePose(std::int64_t from, std::int64_t to, const Array& T,
+                              const std::optional<Array>& information, const std::optional<Array>& covariance) {
   return ForDimension(DimensionOfPose(T, "T_from_to"), [&](auto origin) {
     using Pose = decltype(origin);
-    return RelativePose{Checked<Pose>(
-        RelativePoseFactor<Pose>{PoseId{from}, PoseId{to}, PoseFrom<Pose>(T, "T_from_to"),
-                                 InformationFrom<Pose::kDof>(information, covariance)})};
+    return RelativePose{Checked<Pose>(RelativePoseFactor<Pose>{PoseId{from}, PoseId{to}, PoseFrom<Pose>(T, "T_from_to"),
+                                                               InformationFrom<Pose::kDof>(information, covariance)})};
   });
 }
 
@@ -85,7 +84,8 @@ void BindRelativePose(py::module_& module) {
           "to_id", [](const RelativePose& w) { return std::visit([](auto& f) { return f.to.value; }, w.factor); },
           "Id of the pose that is seen.")
       .def_property_readonly(
-          "T_from_to", [](const RelativePose& w) { return std::visit([](auto& f) { return ArrayOf(f.T_from_to); }, w.factor); },
+          "T_from_to",
+          [](const RelativePose& w) { return std::visit([](auto& f) { return ArrayOf(f.T_from_to); }, w.factor); },
           "The measurement, (3,) or (7,). A copy.")
       .def("__repr__", [](const RelativePose& w) {
         return std::visit(
@@ -168,9 +168,9 @@ void BindFactors(py::module_& module) {
   BindPriors(module);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                       \
-  template Factor<Pose> FactorFrom<Pose>(py::handle);                                 \
-  template std::vector<Factor<Pose>> FactorsFrom<Pose>(const py::iterable&);          \
+#define TERSE_INSTANTIATE(Pose)                                              \
+  template Factor<Pose> FactorFrom<Pose>(py::handle);                        \
+  template std::vector<Factor<Pose>> FactorsFrom<Pose>(const py::iterable&); \
   template py::object ObjectOf<Pose>(const Factor<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

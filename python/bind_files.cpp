@@ -31,7 +31,8 @@ ReadFile ReadGraphFile(const Path& path, const std::string& rotation_information
 
 void Write(const Graph& graph, const Path& path, const std::string& format, const std::string& rotation_information) {
   const auto rotation = FromWord<RotationInformation>(rotation_information);
-  if (format != "g2o" && format != "toro") throw std::invalid_argument("format: expected g2o or toro, got '" + format + "'");
+  if (format != "g2o" && format != "toro")
+    throw std::invalid_argument("format: expected g2o or toro, got '" + format + "'");
   const auto shared = graph.Share();
   const py::gil_scoped_release release;
   std::visit(
@@ -50,11 +51,14 @@ void Write(const Graph& graph, const Path& path, const std::string& format, cons
 void BindFiles(py::module_& module) {
   py::class_<ReadFile>(module, "GraphFile", "A graph with what its file was like.")
       .def_readonly("graph", &ReadFile::graph, "The PoseGraph.")
-      .def_property_readonly("format", [](const ReadFile& f) { return Name(f.facts.format); }, "g2o, TORO or iSAM.")
-      .def_property_readonly("skipped_tags", [](const ReadFile& f) { return f.facts.skipped_tags; },
-                             "Lines that were skipped, by tag: parameters and tags that are not known.")
-      .def_property_readonly("repaired_informations", [](const ReadFile& f) { return f.facts.repaired_informations; },
-                             "How many information matrices were not positive definite.");
+      .def_property_readonly(
+          "format", [](const ReadFile& f) { return Name(f.facts.format); }, "g2o, TORO or iSAM.")
+      .def_property_readonly(
+          "skipped_tags", [](const ReadFile& f) { return f.facts.skipped_tags; },
+          "Lines that were skipped, by tag: parameters and tags that are not known.")
+      .def_property_readonly(
+          "repaired_informations", [](const ReadFile& f) { return f.facts.repaired_informations; },
+          "How many information matrices were not positive definite.");
   module.def("read_graph_file", &ReadGraphFile, py::arg("path"), py::kw_only(),
              py::arg("rotation_information") = "quaternion", py::arg("repair_information") = false,
              "As read_graph, with what the file was like (GraphFile).");
@@ -66,14 +70,16 @@ void BindFiles(py::module_& module) {
       py::arg("path"), py::kw_only(), py::arg("rotation_information") = "quaternion",
       py::arg("repair_information") = false,
       "Reads a graph file: g2o in 2D and 3D, TORO or iSAM, told by its content.\n\n"
-      "rotation_information: what the rotation part of EDGE_SE3:QUAT information means, of the quaternion's vector part "
+      "rotation_information: what the rotation part of EDGE_SE3:QUAT information means, of the quaternion's vector "
+      "part "
       "('quaternion', g2o's definition) or of the rotation vector ('radians', as GTSAM and Ceres read it).\n"
       "repair_information: clamp the eigenvalues of matrices that are not positive definite instead of refusing them.\n"
       "FileError with path, line and cause for anything wrong. Without the GIL.");
-  module.def("write_graph", &Write, py::arg("graph"), py::arg("path"), py::kw_only(), py::arg("format") = "g2o",
-             py::arg("rotation_information") = "quaternion",
-             "Writes a PoseGraph; format: 'g2o' or 'toro' (no priors, no fixed poses). The file appears whole or not at all. "
-             "FileError. Without the GIL.");
+  module.def(
+      "write_graph", &Write, py::arg("graph"), py::arg("path"), py::kw_only(), py::arg("format") = "g2o",
+      py::arg("rotation_information") = "quaternion",
+      "Writes a PoseGraph; format: 'g2o' or 'toro' (no priors, no fixed poses). The file appears whole or not at all. "
+      "FileError. Without the GIL.");
 }
 
 }  // namespace terse::python

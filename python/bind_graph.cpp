@@ -71,7 +71,8 @@ void SetPoses(Graph& graph, const Array& T) {
         using Pose = PoseOf<decltype(g)>;
         const std::vector<Pose> values = PosesFrom<Pose>(T, "T_world_body");
         if (values.size() != g.Poses().size()) {
-          throw std::invalid_argument("expected a value for each of the " + std::to_string(g.Poses().size()) + " poses");
+          throw std::invalid_argument("expected a value for each of the " + std::to_string(g.Poses().size()) +
+                                      " poses");
         }
         for (const Pose& value : values) {
           if (!IsFinite(value)) throw std::invalid_argument("a pose is not finite");
@@ -187,32 +188,40 @@ void BindPoses(py::class_<Graph>& type) {
   type.def_property_readonly("dimension", &Graph::Dimension, "2 or 3.")
       .def_property_readonly(
           "ids", [](const Graph& g) { return IdsOf(g.Get()); }, "(n,) int64: pose ids in order of insertion. A copy.")
-      .def_property_readonly("poses", &PosesOfGraph,
-                             "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body in the order of ids, "
-                             "metres and radians; NaN where a pose has no value. A copy; set_poses writes.")
+      .def_property_readonly(
+          "poses", &PosesOfGraph,
+          "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body in the order of ids, "
+          "metres and radians; NaN where a pose has no value. A copy; set_poses writes.")
       .def_property_readonly("fixed", &FixedOf, "(n,) bool: poses that are anchored at their values. A copy.")
       .def("__len__", [](const Graph& g) { return Visit(g, [](auto& any) { return any.Poses().size(); }); })
       .def("__contains__",
            [](const Graph& g, std::int64_t id) { return Visit(g, [&](auto& any) { return any.HasPose(PoseId{id}); }); })
-      .def("index_of", [](const Graph& g, std::int64_t id) { return Visit(g, [&](auto& any) { return any.IndexOf(PoseId{id}); }); },
-           py::arg("pose_id"), "The row of a pose in ids and poses. ValueError if it is unknown.")
+      .def(
+          "index_of",
+          [](const Graph& g, std::int64_t id) { return Visit(g, [&](auto& any) { return any.IndexOf(PoseId{id}); }); },
+          py::arg("pose_id"), "The row of a pose in ids and poses. ValueError if it is unknown.")
       .def("add_pose", &AddPose, py::arg("pose_id"), py::arg("T_world_body") = py::none(), py::kw_only(),
            py::arg("fixed") = false,
-           "Adds a pose. T_world_body: [x, y, theta] or (3, 3) in the plane, [x, y, z, qx, qy, qz, qw] or (4, 4) in space; "
+           "Adds a pose. T_world_body: [x, y, theta] or (3, 3) in the plane, [x, y, z, qx, qy, qz, qw] or (4, 4) in "
+           "space; "
            "None leaves it to the initial values of solve. A fixed one is anchored at its value.")
       .def("add_poses", &AddPoses, py::arg("ids"), py::arg("T_world_body") = py::none(),
            "Adds poses, all or none. ids: (n,) whole numbers; T_world_body: (n, 3), (n, 3, 3), (n, 7) or (n, 4, 4).")
-      .def("set_pose", [](Graph& g, std::int64_t id, const Array& T) {
-             std::visit([&](auto& any) { any.SetPose(PoseId{id}, PoseFrom<PoseOf<decltype(any)>>(T, "T_world_body")); },
-                        g.Change());
-           },
-           py::arg("pose_id"), py::arg("T_world_body"), "Gives a pose a value: (3,), (3, 3), (7,) or (4, 4).")
+      .def(
+          "set_pose",
+          [](Graph& g, std::int64_t id, const Array& T) {
+            std::visit([&](auto& any) { any.SetPose(PoseId{id}, PoseFrom<PoseOf<decltype(any)>>(T, "T_world_body")); },
+                       g.Change());
+          },
+          py::arg("pose_id"), py::arg("T_world_body"), "Gives a pose a value: (3,), (3, 3), (7,) or (4, 4).")
       .def("set_poses", &SetPoses, py::arg("T_world_body"),
            "Gives all poses values, in the order of ids: (n, 3), (n, 3, 3), (n, 7) or (n, 4, 4).")
-      .def("set_fixed", [](Graph& g, std::int64_t id, bool fixed) {
-             std::visit([&](auto& any) { any.SetFixed(PoseId{id}, fixed); }, g.Change());
-           },
-           py::arg("pose_id"), py::arg("fixed") = true, "Anchors a pose at its value, or lets it go.");
+      .def(
+          "set_fixed",
+          [](Graph& g, std::int64_t id, bool fixed) {
+            std::visit([&](auto& any) { any.SetFixed(PoseId{id}, fixed); }, g.Change());
+          },
+          py::arg("pose_id"), py::arg("fixed") = true, "Anchors a pose at its value, or lets it go.");
 }
 
 void BindMeasurements(py::class_<Graph>& type) {
@@ -225,29 +234,35 @@ void BindMeasurements(py::class_<Graph>& type) {
            "from_ids, to_ids: (m,). T_from_to: (m, 3), (m, 3, 3), (m, 7) or (m, 4, 4), metres and radians.\n"
            "information, covariance: exactly one of them; (m, d, d), or (d, d) or a diagonal (d,) for all, d = 3 or 6; "
            "tangent order [translation, rotation], in the body frame of to_ids.")
-      .def("remove_factor", [](Graph& g, std::int64_t id) {
-             return std::visit([&](auto& any) { return any.RemoveFactor(FactorId{id}); }, g.Change());
-           },
-           py::arg("factor_id"), "Takes a measurement out. False if there is none of this id (any more).")
+      .def(
+          "remove_factor",
+          [](Graph& g, std::int64_t id) {
+            return std::visit([&](auto& any) { return any.RemoveFactor(FactorId{id}); }, g.Change());
+          },
+          py::arg("factor_id"), "Takes a measurement out. False if there is none of this id (any more).")
       .def("factor", &FactorOf, py::arg("factor_id"), "The measurement of this id. ValueError if there is none.")
-      .def_property_readonly("num_factors", [](const Graph& g) { return Visit(g, [](auto& any) { return any.Factors().size(); }); },
-                             "How many measurements there are, priors included.")
+      .def_property_readonly(
+          "num_factors", [](const Graph& g) { return Visit(g, [](auto& any) { return any.Factors().size(); }); },
+          "How many measurements there are, priors included.")
       .def("edges", &EdgesOf, "All relative poses as arrays, in order of arrival (Edges). Copies.")
       .def("priors", &PriorsOf, "All pose and position priors by factor id, in order of arrival. Copies.")
-      .def("chi2", [](const Graph& g) { return Visit(g, [](auto& any) { return Chi2(any); }); },
-           "Sum of r' Omega r over all measurements at the poses' values, without 1/2. ValueError if a pose has none.")
-      .def("components", [](const Graph& g) {
-             return Visit(g, [](auto& any) {
-               py::list out;
-               for (const auto& part : ConnectedComponents(any)) {
-                 std::vector<PoseId> ids;
-                 for (const int k : part) ids.push_back(any.Poses()[static_cast<std::size_t>(k)].id);
-                 out.append(ArrayOfIds(ids));
-               }
-               return out;
-             });
-           },
-           "The connected parts, largest first: a list of arrays of pose ids.");
+      .def(
+          "chi2", [](const Graph& g) { return Visit(g, [](auto& any) { return Chi2(any); }); },
+          "Sum of r' Omega r over all measurements at the poses' values, without 1/2. ValueError if a pose has none.")
+      .def(
+          "components",
+          [](const Graph& g) {
+            return Visit(g, [](auto& any) {
+              py::list out;
+              for (const auto& part : ConnectedComponents(any)) {
+                std::vector<PoseId> ids;
+                for (const int k : part) ids.push_back(any.Poses()[static_cast<std::size_t>(k)].id);
+                out.append(ArrayOfIds(ids));
+              }
+              return out;
+            });
+          },
+          "The connected parts, largest first: a list of arrays of pose ids.");
 }
 
 void BindEdges(py::module_& module) {
@@ -276,18 +291,21 @@ Ids IdsOf(const AnyPoseGraph& graph) {
 
 void BindGraph(py::module_& module) {
   BindEdges(module);
-  py::class_<Graph> type(module, "PoseGraph",
-                         "Poses and measurements, in the plane (dimension 2) or in space (3).\n\n"
-                         "Poses have ids of the user's choice and keep their order of insertion; measurements get ids from "
-                         "the graph. Poses are T_world_body, metres and radians: rows [x, y, theta] or [x, y, z, qx, qy, qz, "
-                         "qw]. Information matrices are in the tangent order [translation, rotation], perturbation on the "
-                         "right, body frame. A failed call changes nothing.");
+  py::class_<Graph> type(
+      module, "PoseGraph",
+      "Poses and measurements, in the plane (dimension 2) or in space (3).\n\n"
+      "Poses have ids of the user's choice and keep their order of insertion; measurements get ids from "
+      "the graph. Poses are T_world_body, metres and radians: rows [x, y, theta] or [x, y, z, qx, qy, qz, "
+      "qw]. Information matrices are in the tangent order [translation, rotation], perturbation on the "
+      "right, body frame. A failed call changes nothing.");
   type.def(py::init(&MakeGraph), py::arg("dimension"), "An empty graph; dimension: 2 or 3.");
   BindPoses(type);
   BindMeasurements(type);
-  type.def("copy", [](const Graph& g) { return Graph(g); }, "A copy; memory is shared until one of the two changes.")
+  type.def(
+          "copy", [](const Graph& g) { return Graph(g); }, "A copy; memory is shared until one of the two changes.")
       .def("__copy__", [](const Graph& g) { return Graph(g); })
-      .def("__deepcopy__", [](const Graph& g, const py::dict&) { return Graph(g); }, py::arg("memo"))
+      .def(
+          "__deepcopy__", [](const Graph& g, const py::dict&) { return Graph(g); }, py::arg("memo"))
       .def("__repr__", &Describe);
 }
 

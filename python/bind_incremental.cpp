@@ -18,9 +18,8 @@ using Path = std::filesystem::path;
 
 Solver MakeSolver(int dimension, const IncrementalOptions* options) {
   const IncrementalOptions chosen = options != nullptr ? *options : IncrementalOptions();
-  return ForDimension(dimension, [&](auto origin) {
-    return Solver{std::make_shared<IncrementalSolver<decltype(origin)>>(chosen)};
-  });
+  return ForDimension(
+      dimension, [&](auto origin) { return Solver{std::make_shared<IncrementalSolver<decltype(origin)>>(chosen)}; });
 }
 
 // The pose type of a solver that is held.
@@ -110,23 +109,25 @@ void ReplayGraph(const Graph& graph, const Solver& solver, const std::string& ev
         using Pose = decltype(OriginOf(held));
         const auto& g = Expect<PoseGraph<Pose>>(*shared, "graph");
         const py::gil_scoped_release release;
-        terse::Replay(g, options, *held, [&](const ReplayStep& step) {
-          return interrupter(step.index, step.steps, step.report);
-        });
+        terse::Replay(g, options, *held,
+                      [&](const ReplayStep& step) { return interrupter(step.index, step.steps, step.report); });
       },
       solver.solver);
 }
 
 void BindStepReport(py::module_& module) {
   py::class_<StepReport>(module, "StepReport", "What a step of the incremental solver did.")
-      .def_property_readonly("factor_ids", [](const StepReport& r) { return ArrayOfIds(r.factor_ids); },
-                             "(k,) int64: ids of the added measurements, in the order given.")
-      .def_property_readonly("path", [](const StepReport& r) { return WordOf(r.path); },
-                             "How they came into the factor: none, appended, rank_update or refactored.")
+      .def_property_readonly(
+          "factor_ids", [](const StepReport& r) { return ArrayOfIds(r.factor_ids); },
+          "(k,) int64: ids of the added measurements, in the order given.")
+      .def_property_readonly(
+          "path", [](const StepReport& r) { return WordOf(r.path); },
+          "How they came into the factor: none, appended, rank_update or refactored.")
       .def_readonly("gate_open", &StepReport::gate_open, "Whether the map was optimised.")
       .def_readonly("gate_value", &StepReport::gate_value, "In the gate's unit.")
       .def_readonly("iterations", &StepReport::iterations, "Gauss-Newton steps taken.")
-      .def_readonly("variables_refactored", &StepReport::variables_refactored, "Poses in the part that was factored again.")
+      .def_readonly("variables_refactored", &StepReport::variables_refactored,
+                    "Poses in the part that was factored again.")
       .def_readonly("variables_relinearised", &StepReport::variables_relinearised, "Poses.")
       .def_readonly("variables_moved", &StepReport::variables_moved, "Poses whose estimate changed.")
       .def_readonly("predicted_decrease", &StepReport::predicted_decrease, "Of chi2 by this step, linearised.")
@@ -144,7 +145,8 @@ void BindStepReport(py::module_& module) {
 using Type = py::class_<Solver>;
 
 void BindEstimates(Type& type) {
-  type.def_property_readonly("dimension", [](const Solver& s) { return DimensionOf(s.solver); }, "2 or 3.")
+  type.def_property_readonly(
+          "dimension", [](const Solver& s) { return DimensionOf(s.solver); }, "2 or 3.")
       .def_property_readonly(
           "ids",
           [](const Solver& s) {
@@ -155,20 +157,27 @@ void BindEstimates(Type& type) {
             });
           },
           "(n,) int64: pose ids in order of arrival. A copy.")
-      .def("__len__", [](const Solver& s) { return Read(s, [](const auto& held) { return held.Graph().Poses().size(); }); })
-      .def("estimate", [](const Solver& s, std::int64_t id) {
-             return Read(s, [&](const auto& held) { return ArrayOf(held.Estimate(PoseId{id})); });
-           },
-           py::arg("pose_id"), "T_world_body of one pose, (3,) or (7,). A copy. ValueError if it is unknown.")
-      .def("estimates", [](const Solver& s) { return Read(s, [](const auto& held) { return ArrayOf(held.Estimates()); }); },
-           "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body in the order of ids, metres and radians. "
-           "A copy.")
-      .def("linearization_points", [](const Solver& s) {
-             return Read(s, [](const auto& held) { return ArrayOf(held.LinearizationPoints()); });
-           },
-           "Where the measurements are linearised, as estimates. A copy.")
-      .def("graph", [](const Solver& s) { return Read(s, [](const auto& held) { return Graph(held.Graph()); }); },
-           "Poses and measurements so far; the values in it are the poses' initial ones. A copy.");
+      .def("__len__",
+           [](const Solver& s) { return Read(s, [](const auto& held) { return held.Graph().Poses().size(); }); })
+      .def(
+          "estimate",
+          [](const Solver& s, std::int64_t id) {
+            return Read(s, [&](const auto& held) { return ArrayOf(held.Estimate(PoseId{id})); });
+          },
+          py::arg("pose_id"), "T_world_body of one pose, (3,) or (7,). A copy. ValueError if it is unknown.")
+      .def(
+          "estimates",
+          [](const Solver& s) { return Read(s, [](const auto& held) { return ArrayOf(held.Estimates()); }); },
+          "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body in the order of ids, metres and "
+          "radians. "
+          "A copy.")
+      .def(
+          "linearization_points",
+          [](const Solver& s) { return Read(s, [](const auto& held) { return ArrayOf(held.LinearizationPoints()); }); },
+          "Where the measurements are linearised, as estimates. A copy.")
+      .def(
+          "graph", [](const Solver& s) { return Read(s, [](const auto& held) { return Graph(held.Graph()); }); },
+          "Poses and measurements so far; the values in it are the poses' initial ones. A copy.");
 }
 
 }  // namespace
@@ -177,8 +186,10 @@ void BindIncremental(py::module_& module) {
   BindStepReport(module);
   Type type(module, "IncrementalSolver",
             "Optimisation of a growing pose graph.\n\n"
-            "A new pose starts at the value given with it, else at that of its prior, else at the end of its first measurement "
-            "from a known pose. A failed call changes nothing. Any thread may call; calls wait for each other, without the GIL.");
+            "A new pose starts at the value given with it, else at that of its prior, else at the end of its first "
+            "measurement "
+            "from a known pose. A failed call changes nothing. Any thread may call; calls wait for each other, without "
+            "the GIL.");
   type.def(py::init(&MakeSolver), py::arg("dimension"), py::arg("options") = py::none(),
            "dimension: 2 or 3. options: IncrementalOptions.")
       .def("update", &Update, py::kw_only(), py::arg("poses") = py::tuple(), py::arg("factors") = py::tuple(),
@@ -190,28 +201,38 @@ void BindIncremental(py::module_& module) {
            "ValueError, UnobservableError or NumericalError, and then nothing has changed. Without the GIL.")
       .def("finish", &Finish, py::kw_only(), py::arg("method") = "levenberg_marquardt", py::arg("max_iterations") = 200,
            py::arg("progress") = py::none(),
-           "Iterates to the batch optimum (Solution), which becomes the linearisation point; arguments as of solve. Without "
+           "Iterates to the batch optimum (Solution), which becomes the linearisation point; arguments as of solve. "
+           "Without "
            "the GIL.");
   BindEstimates(type);
-  type.def("chi2", [](const Solver& s) { return Read(s, [](const auto& held) { return held.Chi2(); }); },
-           "Sum of r' Omega r at the estimate, without robust weights.")
-      .def("robust_chi2", [](const Solver& s) { return Read(s, [](const auto& held) { return held.RobustChi2(); }); },
-           "The same with the robust kernel.")
-      .def("weight_of", [](const Solver& s, std::int64_t id) {
-             return Read(s, [&](const auto& held) { return held.WeightOf(FactorId{id}); });
-           },
-           py::arg("factor_id"), "With which a measurement takes part now, in [0, 1].")
-      .def("log_determinant", [](const Solver& s) { return Read(s, [](const auto& held) { return held.LogDeterminant(); }); },
-           "ln det H at the linearisation points.")
-      .def("save", [](const Solver& s, const Path& path) {
-             Read(s, [&](const auto& held) {
-               const py::gil_scoped_release release;
-               held.Save(path.string());
-             });
-           },
-           py::arg("path"), "Writes the whole state to a file, whole or not at all. FileError. Without the GIL.")
-      .def_static("load", &Load, py::arg("path"),
-                  "The solver that was saved; it continues bit for bit as that one would have. FileError. Without the GIL.");
+  type.def(
+          "chi2", [](const Solver& s) { return Read(s, [](const auto& held) { return held.Chi2(); }); },
+          "Sum of r' Omega r at the estimate, without robust weights.")
+      .def(
+          "robust_chi2", [](const Solver& s) { return Read(s, [](const auto& held) { return held.RobustChi2(); }); },
+          "The same with the robust kernel.")
+      .def(
+          "weight_of",
+          [](const Solver& s, std::int64_t id) {
+            return Read(s, [&](const auto& held) { return held.WeightOf(FactorId{id}); });
+          },
+          py::arg("factor_id"), "With which a measurement takes part now, in [0, 1].")
+      .def(
+          "log_determinant",
+          [](const Solver& s) { return Read(s, [](const auto& held) { return held.LogDeterminant(); }); },
+          "ln det H at the linearisation points.")
+      .def(
+          "save",
+          [](const Solver& s, const Path& path) {
+            Read(s, [&](const auto& held) {
+              const py::gil_scoped_release release;
+              held.Save(path.string());
+            });
+          },
+          py::arg("path"), "Writes the whole state to a file, whole or not at all. FileError. Without the GIL.")
+      .def_static(
+          "load", &Load, py::arg("path"),
+          "The solver that was saved; it continues bit for bit as that one would have. FileError. Without the GIL.");
   module.def("replay", &ReplayGraph, py::arg("graph"), py::arg("solver"), py::kw_only(), py::arg("every") = "pose",
              py::arg("stored_values") = false, py::arg("after_step") = py::none(),
              "Feeds a stored PoseGraph to an IncrementalSolver as it would have come in online.\n\n"

@@ -128,7 +128,8 @@ void BindQueries(Class& type) {
             return Query(m, [&](const auto& q) { return q.MarginalsOf(list, to); });
           },
           py::arg("ids") = py::none(), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
-          doc("(n, d, d): the covariances of these poses, or of all in the order of ids; the array owns the memory in which "
+          doc("(n, d, d): the covariances of these poses, or of all in the order of ids; the array owns the memory in "
+              "which "
               "they were computed, no copy is made.")
               .c_str())
       .def(
@@ -166,13 +167,15 @@ void BindQueries(Class& type) {
             return Query(m, [&](const auto& q) { return q.Relative(PoseId{a}, PoseId{b}, to); });
           },
           py::arg("a"), py::arg("b"), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
-          doc("(d, d): the covariance of T_a_b = T_world_a^-1 T_world_b; 'body' is b's frame, 'world' is a's.").c_str());
+          doc("(d, d): the covariance of T_a_b = T_world_a^-1 T_world_b; 'body' is b's frame, 'world' is a's.")
+              .c_str());
 }
 
 void BindReport(py::module_& module) {
   py::class_<CovarianceReport>(module, "CovarianceReport", "What an update of covariances did.")
-      .def_property_readonly("path", [](const CovarianceReport& r) { return Name(r.path); },
-                             "How they came up to date: none, propagated, downdated or recursion.")
+      .def_property_readonly(
+          "path", [](const CovarianceReport& r) { return Name(r.path); },
+          "How they came up to date: none, propagated, downdated or recursion.")
       .def_readonly("columns", &CovarianceReport::columns, "Of the inverse that were solved for.")
       .def_readonly("flops", &CovarianceReport::flops, "Multiplications and additions.")
       .def_readonly("seconds", &CovarianceReport::seconds, "Seconds it took.")
@@ -194,7 +197,8 @@ void BindGrowing(py::module_& module) {
             const py::gil_scoped_release release;
             return std::visit([](auto& held) { return held->Update(); }, m.marginals);
           },
-          "Brings the kept covariances up to date (CovarianceReport). ValueError if the solver has no pose. Without the GIL.")
+          "Brings the kept covariances up to date (CovarianceReport). ValueError if the solver has no pose. Without "
+          "the GIL.")
       .def(
           "newest",
           [](const GrowingMarginals& m) {
@@ -215,17 +219,18 @@ void BindGrowing(py::module_& module) {
 }  // namespace
 
 void BindMarginals(py::module_& module) {
-  py::class_<Marginals, std::shared_ptr<Marginals>> type(module, "Marginals",
-                             "Covariances of a pose graph at given values. Queries run without the GIL, also from several "
-                             "threads.\n\n"
-                             "Of d in T Exp(d), d = [translation, rotation], metres and radians, body frame, unless asked "
-                             "otherwise. Without priors they are relative to the first pose.");
+  py::class_<Marginals, std::shared_ptr<Marginals>> type(
+      module, "Marginals",
+      "Covariances of a pose graph at given values. Queries run without the GIL, also from several "
+      "threads.\n\n"
+      "Of d in T Exp(d), d = [translation, rotation], metres and radians, body frame, unless asked "
+      "otherwise. Without priors they are relative to the first pose.");
   type.def(py::init(&OfGraph), py::arg("graph"), py::arg("T_world_body") = py::none(),
            "Factors the graph at T_world_body, in the order of graph.ids, or at the graph's own values. "
            "Solution.marginals() uses the factor that is there already. UnobservableError if the system is singular. "
            "Without the GIL.")
-      .def_property_readonly("ids", [](const Marginals& m) { return IdsOf(*m.graph); },
-                             "(n,) int64: the order of marginals(). A copy.");
+      .def_property_readonly(
+          "ids", [](const Marginals& m) { return IdsOf(*m.graph); }, "(n,) int64: the order of marginals(). A copy.");
   BindQueries(type);
   BindReport(module);
 }

@@ -61,12 +61,14 @@ void BindIncrementalOptions(py::module_& module) {
                      "Share of chi2 by which a factor's cost changes before its weight is brought up to date.")
       .def_readwrite("threads", &IncrementalOptions::threads, "At most; the result is the same for any number.")
       .def_readwrite("report_cost", &IncrementalOptions::report_cost, "Fill in StepReport.actual_decrease.")
-      .def_property("robust", [](const IncrementalOptions& o) { return WordOf(o.robust.kernel); },
-                    [](IncrementalOptions& o, const std::string& word) { o.robust.kernel = FromWord<RobustKernel>(word); },
-                    "The cost of loops, which may be wrong: 'none', 'huber', 'cauchy', 'tukey', 'dcs' or 'gnc'.")
-      .def_property("robust_width", [](const IncrementalOptions& o) { return o.robust.width; },
-                    [](IncrementalOptions& o, double width) { o.robust.width = width; },
-                    "Where the kernel sets in, in standard deviations; 0: what one true loop in a hundred exceeds.");
+      .def_property(
+          "robust", [](const IncrementalOptions& o) { return WordOf(o.robust.kernel); },
+          [](IncrementalOptions& o, const std::string& word) { o.robust.kernel = FromWord<RobustKernel>(word); },
+          "The cost of loops, which may be wrong: 'none', 'huber', 'cauchy', 'tukey', 'dcs' or 'gnc'.")
+      .def_property(
+          "robust_width", [](const IncrementalOptions& o) { return o.robust.width; },
+          [](IncrementalOptions& o, double width) { o.robust.width = width; },
+          "Where the kernel sets in, in standard deviations; 0: what one true loop in a hundred exceeds.");
 }
 
 using Compact = py::class_<CompactSettings, std::shared_ptr<CompactSettings>>;
@@ -76,11 +78,8 @@ template <class Member>
 void DefField(Compact& type, const char* name, const Member& member, const char* doc) {
   using Value = std::decay_t<decltype(member(std::declval<CompactOptions<SE2>&>()))>;
   type.def_property(
-      name,
-      [member](CompactSettings& s) { return std::visit([&](auto& o) -> Value { return member(o); }, s.options); },
-      [member](CompactSettings& s, const Value& value) {
-        std::visit([&](auto& o) { member(o) = value; }, s.options);
-      },
+      name, [member](CompactSettings& s) { return std::visit([&](auto& o) -> Value { return member(o); }, s.options); },
+      [member](CompactSettings& s, const Value& value) { std::visit([&](auto& o) { member(o) = value; }, s.options); },
       doc);
 }
 template <class Member>
@@ -104,11 +103,15 @@ void SetVector(V& to, const Array& array, const std::string& what) {
 
 void BindArrays(Compact& type) {
   type.def_property(
-          "range", [](const CompactSettings& s) { return std::visit([](auto& o) { return ArrayOfVector(o.range); }, s.options); },
+          "range",
+          [](const CompactSettings& s) {
+            return std::visit([](auto& o) { return ArrayOfVector(o.range); }, s.options);
+          },
           [](CompactSettings& s, const Array& range) {
             std::visit([&](auto& o) { SetVector(o.range, range, "range"); }, s.options);
           },
-          "Sensor range [x, y, angle] or [x, y, z, angle], metres and radians, in the frame of the pose that is seen from. "
+          "Sensor range [x, y, angle] or [x, y, z, angle], metres and radians, in the frame of the pose that is seen "
+          "from. "
           "A copy.")
       .def_property(
           "link_covariance",
@@ -123,7 +126,8 @@ void BindArrays(Compact& type) {
                 },
                 s.options);
           },
-          "(d, d), or (d,) for its diagonal, d = 3 or 6: covariance expected of a registration; tangent order [translation, "
+          "(d, d), or (d,) for its diagonal, d = 3 or 6: covariance expected of a registration; tangent order "
+          "[translation, "
           "rotation], metres and radians, body frame of the newer pose. A copy.")
       .def_property(
           "view_axis",
@@ -147,24 +151,33 @@ void BindCompactOptions(py::module_& module) {
              return settings;
            }),
            py::arg("dimension"), "dimension: 2 or 3. Any attribute can be given by keyword.")
-      .def_property_readonly("dimension", [](const CompactSettings& s) { return DimensionOf(s.options); }, "2 or 3.");
-  DefWordField(type, "strategy", [](auto& o) -> auto& { return o.strategy; },
-               "'fpfl' (few poses, few links), 'apfl' (all poses, few links), 'apal' (all), 'rfpfl' (as few, drawn at random).");
+      .def_property_readonly(
+          "dimension", [](const CompactSettings& s) { return DimensionOf(s.options); }, "2 or 3.");
+  DefWordField(
+      type, "strategy", [](auto& o) -> auto& { return o.strategy; },
+      "'fpfl' (few poses, few links), 'apfl' (all poses, few links), 'apal' (all), 'rfpfl' (as few, drawn at random).");
   BindArrays(type);
-  DefField(type, "probability", [](auto& o) -> auto& { return o.probability; },
-           "Every dimension must be in range with more than this.");
-  DefField(type, "min_loop_gain", [](auto& o) -> auto& { return o.min_loop_gain; },
-           "A link is kept if it adds more, nats.");
-  DefField(type, "min_pose_gain", [](auto& o) -> auto& { return o.min_pose_gain; },
-           "A pose is kept if the least informative possible link would add more, nats, or if a loop closes.");
-  DefWordField(type, "angle", [](auto& o) -> auto& { return o.distance.angle; },
-               "The angle of range in space: 'view', between the view directions, or 'rotation', its length.");
-  DefWordField(type, "composition", [](auto& o) -> auto& { return o.composition; },
-               "Order of the covariances of chains over dropped poses: 'first' or 'fourth'.");
-  DefField(type, "innovation_quantile", [](auto& o) -> auto& { return o.innovation_quantile; },
-           "A link is refused whose innovation a correct one exceeds with less than the remaining probability. None: no test.");
-  DefField(type, "consensus", [](auto& o) -> auto& { return o.consensus; },
-           "So many refused links that agree with each other are right after all; at least 2.");
+  DefField(
+      type, "probability", [](auto& o) -> auto& { return o.probability; },
+      "Every dimension must be in range with more than this.");
+  DefField(
+      type, "min_loop_gain", [](auto& o) -> auto& { return o.min_loop_gain; }, "A link is kept if it adds more, nats.");
+  DefField(
+      type, "min_pose_gain", [](auto& o) -> auto& { return o.min_pose_gain; },
+      "A pose is kept if the least informative possible link would add more, nats, or if a loop closes.");
+  DefWordField(
+      type, "angle", [](auto& o) -> auto& { return o.distance.angle; },
+      "The angle of range in space: 'view', between the view directions, or 'rotation', its length.");
+  DefWordField(
+      type, "composition", [](auto& o) -> auto& { return o.composition; },
+      "Order of the covariances of chains over dropped poses: 'first' or 'fourth'.");
+  DefField(
+      type, "innovation_quantile", [](auto& o) -> auto& { return o.innovation_quantile; },
+      "A link is refused whose innovation a correct one exceeds with less than the remaining probability. None: no "
+      "test.");
+  DefField(
+      type, "consensus", [](auto& o) -> auto& { return o.consensus; },
+      "So many refused links that agree with each other are right after all; at least 2.");
   type.def_property(
       "solver",
       [](const CompactSettings& s) {

@@ -65,7 +65,8 @@ py::object Register(const Replay& replay, std::int64_t candidate, std::int64_t c
 }
 
 void BindInput(py::module_& module) {
-  py::class_<Input>(module, "CompactInput", "A pose as it arrives, with its measurements: CompactPoseSlam.add takes it.")
+  py::class_<Input>(module, "CompactInput",
+                    "A pose as it arrives, with its measurements: CompactPoseSlam.add takes it.")
       .def(py::init([](std::int64_t id, py::object odometry, std::optional<Array> T, bool fixed, py::object priors,
                        std::optional<std::vector<std::int64_t>> linkable, bool drawn) {
              return Input{id, std::move(odometry), std::move(T), fixed, std::move(priors), std::move(linkable), drawn};
@@ -88,23 +89,37 @@ void BindGraphReplay(py::module_& module) {
       "A stored PoseGraph as a run: its poses in order of arrival (a sequence of CompactInput), its edges as the "
       "registration. One replay serves one run, each edge is given once.")
       .def(py::init(&MakeReplay), py::arg("graph"), "ValueError if the graph is empty or not connected.")
-      .def_property_readonly("dimension", [](const Replay& r) { return DimensionOf(r.replay); }, "2 or 3.")
-      .def("__len__", [](const Replay& r) { return std::visit([](auto& held) { return held->Inputs().size(); }, r.replay); })
+      .def_property_readonly(
+          "dimension", [](const Replay& r) { return DimensionOf(r.replay); }, "2 or 3.")
+      .def("__len__",
+           [](const Replay& r) { return std::visit([](auto& held) { return held->Inputs().size(); }, r.replay); })
       .def("__getitem__", &InputAt, py::arg("index"))
       .def("__call__", &Register, py::arg("candidate_id"), py::arg("current_id"),
            "The edge between two poses (RelativePose), or None: a registration callback.")
-      .def_property_readonly("links_offered", [](const Replay& r) { return std::visit([](auto& held) { return held->LinksOffered(); }, r.replay); },
-                             "Edges beside the odometry.")
-      .def("draw_at_random", [](const Replay& r, int poses, int links, std::uint64_t seed) {
-             const Lock lock(*r.guard, Lock::kChanging);
-             std::visit([&](auto& held) { held->DrawAtRandom(poses, links, seed); }, r.replay);
-           },
-           py::arg("poses"), py::arg("links"), py::arg("seed") = 1,
-           "For strategy 'rfpfl': draws so many poses and links. Same seed, same choice.")
-      .def("link_range", [](const Replay& r) { return std::visit([](auto& held) { return ArrayOfVector(held->LinkRange()); }, r.replay); },
-           "A sensor range that covers every link, as CompactOptions.range.")
-      .def("link_covariance", [](const Replay& r) { return std::visit([](auto& held) { return ArrayOfMatrix(held->LinkCovariance()); }, r.replay); },
-           "(d, d): mean covariance of the links, as CompactOptions.link_covariance.");
+      .def_property_readonly(
+          "links_offered",
+          [](const Replay& r) { return std::visit([](auto& held) { return held->LinksOffered(); }, r.replay); },
+          "Edges beside the odometry.")
+      .def(
+          "draw_at_random",
+          [](const Replay& r, int poses, int links, std::uint64_t seed) {
+            const Lock lock(*r.guard, Lock::kChanging);
+            std::visit([&](auto& held) { held->DrawAtRandom(poses, links, seed); }, r.replay);
+          },
+          py::arg("poses"), py::arg("links"), py::arg("seed") = 1,
+          "For strategy 'rfpfl': draws so many poses and links. Same seed, same choice.")
+      .def(
+          "link_range",
+          [](const Replay& r) {
+            return std::visit([](auto& held) { return ArrayOfVector(held->LinkRange()); }, r.replay);
+          },
+          "A sensor range that covers every link, as CompactOptions.range.")
+      .def(
+          "link_covariance",
+          [](const Replay& r) {
+            return std::visit([](auto& held) { return ArrayOfMatrix(held->LinkCovariance()); }, r.replay);
+          },
+          "(d, d): mean covariance of the links, as CompactOptions.link_covariance.");
 }
 
 ChosenThresholds Select(const Graph& graph, double probability, double share, long most_poses, const std::string& angle,
@@ -117,7 +132,8 @@ ChosenThresholds Select(const Graph& graph, double probability, double share, lo
   options.most_poses = most_poses;
   options.distance.angle = FromWord<AngleMeasure>(angle);
   if (view_axis) {
-    if (view_axis->ndim() != 1 || view_axis->shape(0) != 3) throw std::invalid_argument("view_axis: expected shape (3,)");
+    if (view_axis->ndim() != 1 || view_axis->shape(0) != 3)
+      throw std::invalid_argument("view_axis: expected shape (3,)");
     options.distance.view_axis = Eigen::Map<const Vector<3>>(view_axis->data());
   }
   options.innovation_quantile = innovation_quantile;
@@ -152,33 +168,43 @@ std::shared_ptr<CompactSettings> OptionsOf(const ChosenThresholds& chosen, const
 void BindThresholds(py::module_& module) {
   using T = ChosenThresholds;
   py::class_<T>(module, "Thresholds", "Thresholds of compact pose SLAM, chosen from a sample of a run.")
-      .def_property_readonly("dimension", [](const T& c) { return DimensionOf(c.thresholds); }, "2 or 3.")
-      .def_property_readonly("range", [](const T& c) { return Visit(c, [](auto& t) { return ArrayOfVector(t.range); }); },
-                             "Sensor range [x, y, angle] or [x, y, z, angle], metres and radians. A copy.")
-      .def_property_readonly("probability", [](const T& c) { return Visit(c, [](auto& t) { return t.probability; }); },
-                             "Of being in range.")
-      .def_property_readonly("min_loop_gain", [](const T& c) { return Visit(c, [](auto& t) { return t.min_loop_gain; }); }, "Nats.")
-      .def_property_readonly("min_pose_gain", [](const T& c) { return Visit(c, [](auto& t) { return t.min_pose_gain; }); }, "Nats.")
-      .def_property_readonly("link_covariance",
-                             [](const T& c) { return Visit(c, [](auto& t) { return ArrayOfMatrix(t.link_covariance); }); },
-                             "(d, d): mean of the graph's links; tangent order [translation, rotation], body frame. A copy.")
-      .def_property_readonly("loop_gain_90", [](const T& c) { return Visit(c, [](auto& t) { return t.loop_gain_90; }); },
-                             "90th percentile of the links' gains in the sample, nats.")
-      .def_property_readonly("pose_gain_90", [](const T& c) { return Visit(c, [](auto& t) { return t.pose_gain_90; }); },
-                             "90th percentile of the poses' gains in the sample, nats.")
-      .def_property_readonly("sample_poses", [](const T& c) { return Visit(c, [](auto& t) { return t.sample_poses; }); },
-                             "Poses in the sample.")
+      .def_property_readonly(
+          "dimension", [](const T& c) { return DimensionOf(c.thresholds); }, "2 or 3.")
+      .def_property_readonly(
+          "range", [](const T& c) { return Visit(c, [](auto& t) { return ArrayOfVector(t.range); }); },
+          "Sensor range [x, y, angle] or [x, y, z, angle], metres and radians. A copy.")
+      .def_property_readonly(
+          "probability", [](const T& c) { return Visit(c, [](auto& t) { return t.probability; }); },
+          "Of being in range.")
+      .def_property_readonly(
+          "min_loop_gain", [](const T& c) { return Visit(c, [](auto& t) { return t.min_loop_gain; }); }, "Nats.")
+      .def_property_readonly(
+          "min_pose_gain", [](const T& c) { return Visit(c, [](auto& t) { return t.min_pose_gain; }); }, "Nats.")
+      .def_property_readonly(
+          "link_covariance",
+          [](const T& c) { return Visit(c, [](auto& t) { return ArrayOfMatrix(t.link_covariance); }); },
+          "(d, d): mean of the graph's links; tangent order [translation, rotation], body frame. A copy.")
+      .def_property_readonly(
+          "loop_gain_90", [](const T& c) { return Visit(c, [](auto& t) { return t.loop_gain_90; }); },
+          "90th percentile of the links' gains in the sample, nats.")
+      .def_property_readonly(
+          "pose_gain_90", [](const T& c) { return Visit(c, [](auto& t) { return t.pose_gain_90; }); },
+          "90th percentile of the poses' gains in the sample, nats.")
+      .def_property_readonly(
+          "sample_poses", [](const T& c) { return Visit(c, [](auto& t) { return t.sample_poses; }); },
+          "Poses in the sample.")
       .def("options", &OptionsOf,
            "CompactOptions with these thresholds; any of its attributes can be given by keyword.");
-  module.def("select_thresholds", &Select, py::arg("graph"), py::kw_only(), py::arg("probability") = 0.1,
-             py::arg("share") = 0.6, py::arg("most_poses") = 5000, py::arg("angle") = "view",
-             py::arg("view_axis") = py::none(), py::arg("innovation_quantile") = py::none(),
-             py::arg("progress") = py::none(),
-             "Chooses the thresholds of compact pose SLAM from the first poses of a PoseGraph (Thresholds).\n\n"
-             "share, most_poses: the sample, a share of the poses but no more than so many.\n"
-             "angle, view_axis: as in CompactOptions. innovation_quantile: leave out loops that the innovation test would refuse "
-             "at this quantile; None takes all for true.\n"
-             "progress: called with (done, total). ValueError if the graph is empty or not connected. Without the GIL.");
+  module.def(
+      "select_thresholds", &Select, py::arg("graph"), py::kw_only(), py::arg("probability") = 0.1,
+      py::arg("share") = 0.6, py::arg("most_poses") = 5000, py::arg("angle") = "view",
+      py::arg("view_axis") = py::none(), py::arg("innovation_quantile") = py::none(), py::arg("progress") = py::none(),
+      "Chooses the thresholds of compact pose SLAM from the first poses of a PoseGraph (Thresholds).\n\n"
+      "share, most_poses: the sample, a share of the poses but no more than so many.\n"
+      "angle, view_axis: as in CompactOptions. innovation_quantile: leave out loops that the innovation test would "
+      "refuse "
+      "at this quantile; None takes all for true.\n"
+      "progress: called with (done, total). ValueError if the graph is empty or not connected. Without the GIL.");
 }
 
 }  // namespace

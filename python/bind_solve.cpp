@@ -91,9 +91,11 @@ py::array PoseOf(const Solution& solution, std::int64_t id) {
 }
 
 void BindPoses(py::class_<Solution, std::shared_ptr<Solution>>& type) {
-  type.def_property_readonly("dimension", [](const Solution& s) { return DimensionOf(s.result); }, "2 or 3.")
-      .def_property_readonly("ids", [](const Solution& s) { return IdsOf(*s.graph); },
-                             "(n,) int64: pose ids in the order of poses. A copy.")
+  type.def_property_readonly(
+          "dimension", [](const Solution& s) { return DimensionOf(s.result); }, "2 or 3.")
+      .def_property_readonly(
+          "ids", [](const Solution& s) { return IdsOf(*s.graph); },
+          "(n,) int64: pose ids in the order of poses. A copy.")
       .def_property_readonly(
           "poses",
           [](const py::object& self) {
@@ -101,12 +103,15 @@ void BindPoses(py::class_<Solution, std::shared_ptr<Solution>>& type) {
             const py::ssize_t length = RowLength(s);
             return ViewOf(s.rows.data(), {static_cast<py::ssize_t>(s.rows.size()) / length, length}, self);
           },
-          "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body, metres and radians. A read-only view of "
+          "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body, metres and radians. A read-only "
+          "view of "
           "the solution's memory, which it keeps alive; poses[:, :dimension] are the positions.")
-      .def("pose", &PoseOf, py::arg("pose_id"), "T_world_body of one pose, (3,) or (7,). A copy. ValueError if unknown.")
+      .def("pose", &PoseOf, py::arg("pose_id"),
+           "T_world_body of one pose, (3,) or (7,). A copy. ValueError if unknown.")
       .def("graph", &GraphOf, "The graph that was solved, with these poses for values.")
       .def("marginals", &MarginalsOf,
-           "Covariances at these poses (Marginals), from the factor that the solver made. UnobservableError if the system "
+           "Covariances at these poses (Marginals), from the factor that the solver made. UnobservableError if the "
+           "system "
            "was singular.");
 }
 
@@ -122,22 +127,24 @@ void BindSolve(py::module_& module) {
           "termination",
           [](const Solution& s) { return Visit(s, [](auto& r) { return std::string(Name(r.termination)); }); },
           "How it ended, in a word: converged, ...")
-      .def_property_readonly("message", [](const Solution& s) { return Visit(s, [](auto& r) { return r.message; }); },
-                             "What happened, for people.")
-      .def_property_readonly("iterations",
-                             [](const Solution& s) { return Visit(s, [](auto& r) { return r.iterations; }); },
-                             "Iterations taken.")
-      .def_property_readonly("chi2", [](const Solution& s) { return Visit(s, [](auto& r) { return r.chi2; }); },
-                             "Sum of r' Omega r at poses (no 1/2), gauge excluded, without robust weights.")
-      .def_property_readonly("robust_cost",
-                             [](const Solution& s) { return Visit(s, [](auto& r) { return r.robust_cost; }); },
-                             "The same with the robust kernel; chi2 if there is none.")
-      .def_property_readonly("gradient_norm",
-                             [](const Solution& s) { return Visit(s, [](auto& r) { return r.gradient_norm; }); },
-                             "Largest entry of A'r at poses.")
-      .def_property_readonly("log_determinant",
-                             [](const Solution& s) { return Visit(s, [](auto& r) { return r.log_determinant; }); },
-                             "ln det H at poses, gauge anchor included.")
+      .def_property_readonly(
+          "message", [](const Solution& s) { return Visit(s, [](auto& r) { return r.message; }); },
+          "What happened, for people.")
+      .def_property_readonly(
+          "iterations", [](const Solution& s) { return Visit(s, [](auto& r) { return r.iterations; }); },
+          "Iterations taken.")
+      .def_property_readonly(
+          "chi2", [](const Solution& s) { return Visit(s, [](auto& r) { return r.chi2; }); },
+          "Sum of r' Omega r at poses (no 1/2), gauge excluded, without robust weights.")
+      .def_property_readonly(
+          "robust_cost", [](const Solution& s) { return Visit(s, [](auto& r) { return r.robust_cost; }); },
+          "The same with the robust kernel; chi2 if there is none.")
+      .def_property_readonly(
+          "gradient_norm", [](const Solution& s) { return Visit(s, [](auto& r) { return r.gradient_norm; }); },
+          "Largest entry of A'r at poses.")
+      .def_property_readonly(
+          "log_determinant", [](const Solution& s) { return Visit(s, [](auto& r) { return r.log_determinant; }); },
+          "ln det H at poses, gauge anchor included.")
       .def_property_readonly(
           "weights",
           [](const Solution& s) {
@@ -146,29 +153,31 @@ void BindSolve(py::module_& module) {
             });
           },
           "With a robust kernel, the weight of each measurement in order of arrival, else empty. A copy.")
-      .def_property_readonly("free_motions",
-                             [](const Solution& s) { return Visit(s, [](auto& r) { return r.free_motions; }); },
-                             "What no measurement sees, if the system is singular (list of FreeMotion).")
-      .def("__repr__", [](const Solution& s) {
-        return Visit(s, [](auto& r) { return "<terse.Solution: " + r.message + ">"; });
-      });
-  module.def("solve", &Solve, py::arg("graph"), py::kw_only(), py::arg("initial") = "compose",
-             py::arg("method") = "levenberg_marquardt", py::arg("max_iterations") = 200,
-             py::arg("relative_tolerance") = 1e-11, py::arg("robust") = "none", py::arg("robust_width") = 0.0,
-             py::arg("threads") = 1, py::arg("progress") = py::none(),
-             "Minimises chi2 over all poses of a PoseGraph, which is not changed (Solution).\n\n"
-             "initial: 'compose' (pose by pose, as they would have come in), 'file' (the graph's values), 'tree', 'chordal' "
-             "(for much noise), or T_world_body in the order of graph.ids, (n, 3), (n, 7) or (n, 4, 4).\n"
-             "method: 'levenberg_marquardt' or 'gauss_newton'.\n"
-             "relative_tolerance: converged when a step lowers the cost by less than this share of it.\n"
-             "robust: the cost of loops, which may be wrong: 'none', 'huber', 'cauchy', 'tukey', 'dcs' or 'gnc'; robust_width: "
-             "where it sets in, in standard deviations, 0 for what one true loop in a hundred exceeds.\n"
-             "threads: at most; the result is the same for any number.\n"
-             "progress: called with (iteration, chi2) after every iteration; it returns False to stop.\n"
-             "What is numerical is reported, not raised: look at converged. Without the GIL; Ctrl-C works.");
-  module.def("initial_values", &InitialOf, py::arg("graph"), py::arg("method") = "compose",
-             "(n, 3) or (n, 7): where an optimisation would start, in the order of graph.ids; method as initial of solve. "
-             "Without the GIL.");
+      .def_property_readonly(
+          "free_motions", [](const Solution& s) { return Visit(s, [](auto& r) { return r.free_motions; }); },
+          "What no measurement sees, if the system is singular (list of FreeMotion).")
+      .def("__repr__",
+           [](const Solution& s) { return Visit(s, [](auto& r) { return "<terse.Solution: " + r.message + ">"; }); });
+  module.def(
+      "solve", &Solve, py::arg("graph"), py::kw_only(), py::arg("initial") = "compose",
+      py::arg("method") = "levenberg_marquardt", py::arg("max_iterations") = 200, py::arg("relative_tolerance") = 1e-11,
+      py::arg("robust") = "none", py::arg("robust_width") = 0.0, py::arg("threads") = 1,
+      py::arg("progress") = py::none(),
+      "Minimises chi2 over all poses of a PoseGraph, which is not changed (Solution).\n\n"
+      "initial: 'compose' (pose by pose, as they would have come in), 'file' (the graph's values), 'tree', 'chordal' "
+      "(for much noise), or T_world_body in the order of graph.ids, (n, 3), (n, 7) or (n, 4, 4).\n"
+      "method: 'levenberg_marquardt' or 'gauss_newton'.\n"
+      "relative_tolerance: converged when a step lowers the cost by less than this share of it.\n"
+      "robust: the cost of loops, which may be wrong: 'none', 'huber', 'cauchy', 'tukey', 'dcs' or 'gnc'; "
+      "robust_width: "
+      "where it sets in, in standard deviations, 0 for what one true loop in a hundred exceeds.\n"
+      "threads: at most; the result is the same for any number.\n"
+      "progress: called with (iteration, chi2) after every iteration; it returns False to stop.\n"
+      "What is numerical is reported, not raised: look at converged. Without the GIL; Ctrl-C works.");
+  module.def(
+      "initial_values", &InitialOf, py::arg("graph"), py::arg("method") = "compose",
+      "(n, 3) or (n, 7): where an optimisation would start, in the order of graph.ids; method as initial of solve. "
+      "Without the GIL.");
 }
 
 }  // namespace terse::python

@@ -71,8 +71,8 @@ MatchedTrajectories MatchAny(const py::object& estimate, const py::object& refer
   return {SpacePoses(estimate.cast<Array>(), "estimate"), SpacePoses(reference.cast<Array>(), "reference")};
 }
 
-Evaluation EvaluateAny(const py::object& estimate, const py::object& reference, const std::string& alignment, bool kitti,
-                       int threads) {
+Evaluation EvaluateAny(const py::object& estimate, const py::object& reference, const std::string& alignment,
+                       bool kitti, int threads) {
   EvaluateOptions options;
   options.alignment = FromWord<Alignment>(alignment);
   options.kitti = kitti;
@@ -87,7 +87,8 @@ void BindEvaluate(py::module_& module) {
       .def_readonly("translation_m", &PoseError::translation_m, "Metres.")
       .def_readonly("rotation_deg", &PoseError::rotation_deg, "Degrees, of the angle.")
       .def("__repr__", [](const PoseError& e) {
-        return "<terse.PoseError: " + std::to_string(e.translation_m) + " m, " + std::to_string(e.rotation_deg) + " deg>";
+        return "<terse.PoseError: " + std::to_string(e.translation_m) + " m, " + std::to_string(e.rotation_deg) +
+               " deg>";
       });
   py::class_<KittiError>(module, "KittiError", "KITTI's metric over segments of 100 to 800 m.")
       .def_readonly("t_rel_percent", &KittiError::t_rel_percent, "Per cent of the length.")
@@ -98,14 +99,16 @@ void BindEvaluate(py::module_& module) {
       .def_readonly("rpe", &Evaluation::rpe, "PoseError from each matched pose to the next.")
       .def_readonly("rpe_all", &Evaluation::rpe_all, "PoseError of every ordered pair of poses.")
       .def_readonly("poses", &Evaluation::poses, "How many poses matched.")
-      .def_readonly("kitti", &Evaluation::kitti, "KittiError; None if not asked for, or if the path is shorter than 100 m.");
+      .def_readonly("kitti", &Evaluation::kitti,
+                    "KittiError; None if not asked for, or if the path is shorter than 100 m.");
   module.def("evaluate", &EvaluateAny, py::arg("estimate"), py::arg("reference"), py::kw_only(),
              py::arg("alignment") = "se3", py::arg("kitti") = false, py::arg("threads") = 0,
              "Errors of an estimated trajectory: ATE, RPE and, if asked for, KITTI's metric (Evaluation).\n\n"
              "estimate, reference: two Trajectory objects, matched by stamps (pose ids, line numbers or seconds within "
              "10 ms), or two arrays of T_world_body of the same length, row by row: (n, 3), (n, 7) or (n, 4, 4).\n"
              "alignment: 'se3' by least squares over the positions, 'se2' about the z axis only, 'none'.\n"
-             "threads: 0 for all cores; the result does not depend on it. ValueError if fewer than two match. Without the GIL.");
+             "threads: 0 for all cores; the result does not depend on it. ValueError if fewer than two match. Without "
+             "the GIL.");
 }
 
 }  // namespace
@@ -129,8 +132,9 @@ void BindTrajectory(py::module_& module) {
             return ViewOf(rows.data(), {static_cast<py::ssize_t>(rows.size() / 7), 7}, self);
           },
           "(n, 7) [x, y, z, qx, qy, qz, qw], metres. A read-only view of the object's memory, which it keeps alive.")
-      .def_property_readonly("format", [](const HeldTrajectory& t) { return WordOf(t.trajectory.format); },
-                             "What the stamps are: 'tum' (seconds), 'kitti' (line numbers) or 'graph' (pose ids).")
+      .def_property_readonly(
+          "format", [](const HeldTrajectory& t) { return WordOf(t.trajectory.format); },
+          "What the stamps are: 'tum' (seconds), 'kitti' (line numbers) or 'graph' (pose ids).")
       .def("__len__", [](const HeldTrajectory& t) { return t.trajectory.stamps.size(); });
   module.def(
       "read_trajectory",
@@ -139,10 +143,12 @@ void BindTrajectory(py::module_& module) {
         return Hold(ReadTrajectory(path.string()));
       },
       py::arg("path"),
-      "Reads a trajectory: TUM, KITTI, or the vertices of a graph file, told by the content. FileError. Without the GIL.");
-  module.def("write_trajectory", &Write, py::arg("trajectory"), py::arg("path"), py::kw_only(), py::arg("format") = "tum",
-             "Writes a Trajectory; format: 'tum' (stamp x y z qx qy qz qw) or 'kitti' (three rows of the matrix). FileError. "
-             "Without the GIL.");
+      "Reads a trajectory: TUM, KITTI, or the vertices of a graph file, told by the content. FileError. Without the "
+      "GIL.");
+  module.def(
+      "write_trajectory", &Write, py::arg("trajectory"), py::arg("path"), py::kw_only(), py::arg("format") = "tum",
+      "Writes a Trajectory; format: 'tum' (stamp x y z qx qy qz qw) or 'kitti' (three rows of the matrix). FileError. "
+      "Without the GIL.");
   BindEvaluate(module);
 }
 

@@ -210,9 +210,8 @@ py::array ArrayOwning(MatrixX matrix) {
   constexpr py::ssize_t kDouble = sizeof(double);
   const auto rows = static_cast<py::ssize_t>(matrix.rows()), columns = static_cast<py::ssize_t>(matrix.cols());
   const py::capsule owner = CapsuleOf(std::move(matrix));
-  return py::array_t<double>(std::vector<py::ssize_t>{rows, columns},
-                             std::vector<py::ssize_t>{kDouble, rows * kDouble}, owner.get_pointer<MatrixX>()->data(),
-                             owner);
+  return py::array_t<double>(std::vector<py::ssize_t>{rows, columns}, std::vector<py::ssize_t>{kDouble, rows * kDouble},
+                             owner.get_pointer<MatrixX>()->data(), owner);
 }
 
 py::array ViewOf(const double* data, std::vector<py::ssize_t> shape, py::handle owner) {
@@ -221,10 +220,10 @@ py::array ViewOf(const double* data, std::vector<py::ssize_t> shape, py::handle 
   return std::move(view);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                          \
-  template Pose PoseFrom<Pose>(const Array&, const std::string&);                                        \
-  template std::vector<Pose> PosesFrom<Pose>(const Array&, const std::string&);                          \
-  template py::array ArrayOf<Pose>(const Pose&);                                                         \
+#define TERSE_INSTANTIATE(Pose)                                                 \
+  template Pose PoseFrom<Pose>(const Array&, const std::string&);               \
+  template std::vector<Pose> PosesFrom<Pose>(const Array&, const std::string&); \
+  template py::array ArrayOf<Pose>(const Pose&);                                \
   template py::array ArrayOf<Pose>(const std::vector<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

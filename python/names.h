@@ -18,10 +18,10 @@ namespace terse::python {
 template <class E>
 struct Words;
 
-#define TERSE_WORDS(E, WHAT, ...)                                \
-  template <>                                                    \
-  struct Words<E> {                                              \
-    static constexpr const char* kWhat = WHAT;                   \
+#define TERSE_WORDS(E, WHAT, ...)                                      \
+  template <>                                                          \
+  struct Words<E> {                                                    \
+    static constexpr const char* kWhat = WHAT;                         \
     static constexpr std::pair<const char*, E> kAll[] = {__VA_ARGS__}; \
   }
 

@@ -20,7 +20,7 @@ parser.add_argument("folder", type=Path, help="written by terse compact or terse
 parser.add_argument("--output", type=Path, help="picture to write, .png or .svg")
 arguments = parser.parse_args()
 
-has_display = sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+has_display = sys.platform in ("win32", "darwin") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 if arguments.output or not has_display:
     matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402  (after the choice of where it draws)
@@ -92,12 +92,13 @@ for name, value in table:
 # %% The picture
 plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
 plt.rcParams["axes.titlelocation"] = "left"
-figure = plt.figure(figsize=(12, 6.5), constrained_layout=True)
-grid = figure.add_gridspec(2, 2, width_ratios=[1.6, 1])
+width, height = np.ptp(positions[:, seen], axis=0)
+figure = plt.figure(figsize=(12, np.clip(7 * height / max(width, 1e-9) + 1.5, 5, 8)), constrained_layout=True)
+left, right = figure.subfigures(1, 2, width_ratios=[1.5, 1])
 figure.suptitle(f"{arguments.folder.resolve().name}: {run.kept.sum()} of {len(run.ids)} poses kept, {len(links)} links")
 
 # %% Trajectory, kept and dropped poses, links by gain, 95 % ellipses
-axes = figure.add_subplot(grid[:, 0])
+axes = left.subplots()
 xy = positions[:, seen]
 axes.plot(*xy.T, "-", color="0.8", linewidth=0.8, zorder=1)
 axes.plot(*xy[~run.kept].T, ".", color="0.65", markersize=2.5, zorder=2, label="dropped")
@@ -107,7 +108,7 @@ if links:
     shades = LineCollection([xy[list(pair)] for pair in links], linewidths=2.2 if len(links) < 50 else 1.2, zorder=4)
     if np.isfinite(link_gains).any():
         shades.set(array=link_gains, cmap=ListedColormap(plt.get_cmap("plasma_r")(np.linspace(0.15, 1, 256))))
-        figure.colorbar(shades, ax=axes, label="gain of a link [nats]", location="bottom", shrink=0.5, pad=0.01)
+        left.colorbar(shades, ax=axes, label="gain of a link [nats]", location="bottom", shrink=0.5, pad=0.01)
     else:
         shades.set(color="tab:orange", zorder=2)
         axes.plot([], [], "-", color="tab:orange", label="link")
@@ -123,7 +124,8 @@ axes.autoscale_view()
 axes.legend(loc="best")
 
 # %% Gains, and the thresholds that they are compared with
-axes = figure.add_subplot(grid[0, 1])
+upper, lower = right.subplots(2, 1)
+axes = upper
 gains = {
     "of a link, expected": ([c.gain for c in candidates], "min_loop_gain", "tab:orange"),
     "of a pose": ([decision.pose_gain for decision in run.decisions], "min_pose_gain", "tab:blue"),
@@ -134,6 +136,8 @@ axes.set(title="Gains and thresholds", xlabel="nats", ylabel="count")
 if len(every) > 0:
     bins = np.linspace(0, every.max() * 1.01, 50)
     for name, (values, threshold, colour) in gains.items():
+        if len(values) == 0:
+            continue
         axes.hist(values, bins, histtype="step", linewidth=1.4, color=colour, label=name)
         limit = (run.thresholds or {}).get(threshold)
         if limit:
@@ -144,7 +148,7 @@ else:
     axes.text(0.5, 0.5, "this run compared no gains", ha="center", transform=axes.transAxes)
 
 # %% Standard deviation of the position along the path
-axes = figure.add_subplot(grid[1, 1])
+axes = lower
 axes.set(title="How well positions are known", xlabel="path [m]", ylabel="standard deviation [m]")
 if len(deviations) > 0:
     order = np.argsort(covariance_rows)
