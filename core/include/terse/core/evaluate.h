@@ -42,6 +42,10 @@ struct EvaluateOptions {
 Evaluation Evaluate(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference,
                     const EvaluateOptions& options = {});
 
+// Of these only the ATE in metres, with the same conditions: a small part of the work.
+double AbsoluteError(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference,
+                     Alignment alignment = Alignment::kSE3);
+
 // The poses of both at matching stamps, as {estimate, reference}. KITTI files have line numbers for stamps, so
 // they match graph ids; against a TUM file in seconds with as many poses they match line by line; two TUM files
 // match at the nearest stamp within 10 ms. Throws std::invalid_argument with a reason if fewer than two match.
