@@ -226,6 +226,14 @@ bool AreIds(const std::vector<double>& stamps) {
   return std::all_of(stamps.begin(), stamps.end(), [](double stamp) { return stamp == std::floor(stamp); });
 }
 
+void ExpectPairs(const std::vector<SE3>& estimate, const std::vector<SE3>& reference) {
+  if (estimate.size() != reference.size()) {
+    throw std::invalid_argument("the estimate has " + std::to_string(estimate.size()) + " poses, the reference " +
+                                std::to_string(reference.size()));
+  }
+  if (estimate.size() < 2) throw std::invalid_argument("an evaluation takes two poses at least");
+}
+
 std::string Count(const Trajectory& trajectory) { return std::to_string(trajectory.stamps.size()); }
 
 }  // namespace
@@ -253,11 +261,7 @@ SE3 Align(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_wo
 Evaluation Evaluate(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference,
                     const EvaluateOptions& options) {
   const std::size_t n = T_world_estimate.size();
-  if (n != T_world_reference.size()) {
-    throw std::invalid_argument("the estimate has " + std::to_string(n) + " poses, the reference " +
-                                std::to_string(T_world_reference.size()));
-  }
-  if (n < 2) throw std::invalid_argument("an evaluation takes two poses at least");
+  ExpectPairs(T_world_estimate, T_world_reference);
   Evaluation out;
   out.poses = static_cast<int>(n);
   const SE3 T_reference_estimate = Align(T_world_estimate, T_world_reference, options.alignment);
@@ -277,6 +281,18 @@ Evaluation Evaluate(const std::vector<SE3>& T_world_estimate, const std::vector<
   if (options.all_pairs) out.rpe_all = EvaluateAllPairs(T_world_estimate, T_world_reference, options.threads);
   if (options.kitti) out.kitti = EvaluateKitti(T_world_estimate, T_world_reference);
   return out;
+}
+
+double AbsoluteError(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference,
+                     Alignment alignment) {
+  ExpectPairs(T_world_estimate, T_world_reference);
+  const SE3 T_reference_estimate = Align(T_world_estimate, T_world_reference, alignment);
+  double sum = 0;
+  for (std::size_t i = 0; i < T_world_estimate.size(); ++i) {
+    const Vector<3> aligned = T_reference_estimate * T_world_estimate[i].Translation();
+    sum += (aligned - T_world_reference[i].Translation()).squaredNorm();
+  }
+  return std::sqrt(sum / static_cast<double>(T_world_estimate.size()));
 }
 
 MatchedTrajectories Match(const Trajectory& estimate, const Trajectory& reference) {

@@ -34,8 +34,9 @@ class CompactCommand : public testing::CommandTest {
   }
 };
 
-const std::vector<std::string> kResults = {"compact.g2o", "covariances.csv", "decisions.csv",
-                                           "stats.json",  "thresholds.json", "trajectory.tum"};
+const std::vector<std::string> kResults = {"compact.g2o",     "covariances.csv", "covariances.npz", "decisions.csv",
+                                           "decisions.jsonl", "graph.json",      "stats.json",      "steps.csv",
+                                           "thresholds.json", "trajectory.tum"};
 
 template <class Pose>
 bool HasFactor(const PoseGraph<Pose>& graph, const Factor<Pose>& factor) {
@@ -230,8 +231,9 @@ TEST_F(CompactCommand, ThresholdsAreObeyed) {
 }
 
 // The files that two runs agree in when they were the same to the bit; the statistics hold times.
-const std::vector<std::string> kRepeatable = {"compact.g2o", "covariances.csv", "decisions.csv", "thresholds.json",
-                                              "trajectory.tum"};
+const std::vector<std::string> kRepeatable = {"compact.g2o",     "covariances.csv", "covariances.npz",
+                                              "decisions.csv",   "decisions.jsonl", "graph.json",
+                                              "thresholds.json", "trajectory.tum"};
 
 TEST_F(CompactCommand, ThresholdsAreChosenFromASample) {
   MakeScene("manhattan");

@@ -8,7 +8,7 @@
 namespace terse {
 namespace {
 
-constexpr int kSamples = 300;
+constexpr int kSamples = 300, kErrorSamples = 100;
 
 template <class Value>
 std::string OrEmpty(const std::optional<Value>& value) {
@@ -38,11 +38,12 @@ void StepRecorder<Pose>::Add(const CompactPoseSlam<Pose>& slam, const Decision& 
     step.gate_value = decision.update->gate_value;
   }
   const int number = static_cast<int>(steps_.size()) + 1;
-  if (number % stride_ == 0 || number == expected_) {
+  const bool is_last = number == expected_;
+  if (number % stride_ == 0 || is_last) {
     step.hessian_nonzeros = HessianNonzeros(slam.Solver().Graph());
     step.factor_nonzeros = slam.Solver().Factor().FactorNonzeros();
-    if (truth_ != nullptr) step.ate_m = Ate(slam);
   }
+  if (truth_ != nullptr && (number % std::max(1, expected_ / kErrorSamples) == 0 || is_last)) step.ate_m = Ate(slam);
   steps_.push_back(step);
 }
 
@@ -67,10 +68,7 @@ std::optional<double> StepRecorder<Pose>::Ate(const CompactPoseSlam<Pose>& slam)
   std::vector<SE3> estimate;
   estimate.reserve(trajectory.size());
   for (const auto& pose : trajectory) estimate.push_back(InSpace(pose.T_world_body));
-  EvaluateOptions how;
-  how.alignment = Pose::kDim == 2 ? Alignment::kSE2 : Alignment::kSE3;
-  how.all_pairs = false;
-  return Evaluate(estimate, true_, how).ate.translation_m;
+  return AbsoluteError(estimate, true_, Pose::kDim == 2 ? Alignment::kSE2 : Alignment::kSE3);
 }
 
 void WriteCompactSteps(const std::vector<CompactStep>& steps, const std::string& earlier, const std::string& path) {

@@ -42,6 +42,10 @@ struct EvaluateOptions {
 Evaluation Evaluate(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference,
                     const EvaluateOptions& options = {});
 
+// Of these only the ATE in metres, with the same conditions: a small part of the work.
+double AbsoluteError(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference,
+                     Alignment alignment = Alignment::kSE3);
+
 // T_reference_estimate: the motion that lays the estimated positions over the reference, as for ATE. Of the same number
 // of poses each, at least one; they are not checked.
 SE3 Align(const std::vector<SE3>& T_world_estimate, const std::vector<SE3>& T_world_reference, Alignment alignment);
