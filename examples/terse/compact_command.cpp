@@ -202,7 +202,7 @@ std::optional<GraphJson> ReadContinued(CompactCommandOptions& options) {
 void Compact(CompactCommandOptions options) {
   const double start = SecondsNow();
   const std::optional<GraphJson> before = ReadContinued(options);
-  if (!options.strategy) throw CLI::RequiredError("--strategy");
+  if (!options.strategy) options.strategy = Strategy::kFpfl;
   const GraphFile file = ReadGraph(options.path, options.read);
   const double seconds_read = SecondsNow() - start;
   if (!options.quiet) ReportRepairs(file, options.path);
@@ -225,9 +225,9 @@ void AddCompactCommand(CLI::App& app) {
   AddChoice(
       *command, "--strategy", options->strategy,
       {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kRfpfl}},
-      "All poses all links, all poses few links, few poses few links, or as few at random; needed but with --continue, "
-      "which goes on as before")
-      ->default_str("");
+      "All poses all links, all poses few links, few poses few links, or as few at random; --continue goes on as "
+      "before")
+      ->default_str("fpfl");
   command
       ->add_option(
           "--continue", options->continued,

@@ -40,10 +40,14 @@ void PrintRow(const char* name, const PoseError& error) {
   std::cout << line;
 }
 
-void PrintTable(const Evaluation& result, const std::string& alignment) {
+void PrintTable(const Evaluation& result, const std::string& alignment, std::size_t estimated, std::size_t reference) {
   char line[128];
-  std::snprintf(line, sizeof(line), "%d matched poses\n%-24s %16s %16s\n", result.poses, "root mean square",
-                "translation [m]", "rotation [deg]");
+  std::cout << result.poses << " matched poses";
+  const auto matched = static_cast<std::size_t>(result.poses);
+  if (estimated != matched || reference != matched) {
+    std::cout << " of " << estimated << " estimated and " << reference << " of the reference";
+  }
+  std::snprintf(line, sizeof(line), "\n%-24s %16s %16s\n", "root mean square", "translation [m]", "rotation [deg]");
   std::cout << line;
   PrintRow(("ATE, alignment " + alignment).c_str(), result.ate);
   PrintRow("RPE, pose to next", result.rpe);
@@ -67,7 +71,8 @@ void RunEvaluate(const EvaluateCommandOptions& options) {
                                                : Alignment::kNone;
   how.kitti = options.kitti;
   const Evaluation result = Evaluate(matched.T_world_estimate, matched.T_world_reference, how);
-  options.json ? PrintJsonResult(result) : PrintTable(result, options.alignment);
+  options.json ? PrintJsonResult(result)
+               : PrintTable(result, options.alignment, estimate.stamps.size(), reference.stamps.size());
 }
 
 }  // namespace

@@ -202,14 +202,16 @@ void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& res
 // Not among the rows of a table on standard output.
 void PrintSummary(const Stats& stats, bool output_taken) {
   std::ostream& out = output_taken ? std::cerr : std::cout;
-  out << stats.poses << " poses, " << stats.counts.edges << " edges (" << stats.counts.loop_edges
-      << " loop edges)\nchi2 " << stats.chi2 << ", " << stats.termination << " after " << stats.iterations
-      << (stats.iterations == 1 ? " iteration" : " iterations") << ", " << stats.seconds_total << " s\n";
-  if (stats.more.contains("robust")) {
-    const auto& robust = stats.more["robust"];
-    out << robust["rejected"] << " of " << robust["loops"] << " loops rejected, cost with "
-        << robust["kernel"].get<std::string>() << " weights " << robust["cost"].get<double>() << '\n';
+  const bool robust = stats.more.contains("robust");
+  out << stats.poses << " poses, " << stats.counts.edges << " edges (" << stats.counts.loop_edges << " loop edges)\n";
+  if (robust) {
+    const auto& found = stats.more["robust"];
+    out << found["rejected"] << " of " << found["loops"] << " loops rejected; cost with "
+        << found["kernel"].get<std::string>() << " weights " << found["cost"].get<double>() << '\n';
   }
+  out << (robust ? "chi2 without weights, rejected loops included, " : "chi2 ") << stats.chi2 << ", "
+      << stats.termination << " after " << stats.iterations << (stats.iterations == 1 ? " iteration" : " iterations")
+      << ", " << stats.seconds_total << " s\n";
   FlushOutput();
 }
 

@@ -22,8 +22,10 @@ struct CompactOptions {
   // v. Sensor range per dimension of the displacement: metres, then radians.
   Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Constant(1);
   double probability = 0.1;    // s: every dimension must be in range with more than this
-  double min_loop_gain = 1.0;  // g_loop, nats
-  double min_pose_gain = 3.0;  // g_pose, nats
+  // g_loop, g_pose, nats. These keep much: SelectThresholds (thresholds.h) takes at least 0.5 and 0.9 nats per degree
+  // of freedom, 3 and 5.4 in 3D, and the range from the data too.
+  double min_loop_gain = 1.0;
+  double min_pose_gain = 3.0;
   // Covariance expected of a registration, body frame of the newer pose.
   typename Pose::Jacobian link_covariance = 0.01 * Pose::Jacobian::Identity();
   DistanceOptions distance;                                 // how angles are measured, 3D only
