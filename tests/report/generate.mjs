@@ -83,6 +83,8 @@ export function makeHolesRun({name = 'holes'} = {}) {
   run.steps.gain = run.steps.gain.map(() => null);
   run.stats.chi2 = null;
   run.stats.log_determinant = null;
+  Object.assign(run.stats, {odd_frames: [], lost: [{frame: 3}], robust: {kernel: 'gnc', loops: [{from: 1, to: 2, weight: 0}]}});
+  run.poses.verdict = [];
   run.decisions.candidates[4] = [[0, null, null, null, 0, null]];
   return run;
 }

@@ -1,7 +1,7 @@
 // The panel that explains one step of one run, and the pose that was clicked.
 
 import {isNumber} from './data.js';
-import {explain, outcome, verdictInShort} from './explain.js';
+import {explain, fate, outcome, verdictInShort} from './explain.js';
 import {element, integer, number, percent} from './format.js';
 import {halfAxes} from './scene3d.js';
 
@@ -47,7 +47,7 @@ function chosenPose(run, k, onStep) {
   const covariance = run.covarianceOf.get(k);
   const sizes = covariance && halfAxes(covariance, run.dimension).slice(0, run.dimension).map((axis) => number(Math.hypot(...axis), 3));
   return element('div', {class: 'chosen'},
-    element('strong', {}, `Pose ${run.id[k]}`), ` · ${run.kept[k] ? 'kept' : 'dropped'}: ${verdictInShort(run, k)} · at (${p.join(', ')}) m · `,
+    element('strong', {}, `Pose ${run.id[k]}`), ` · ${fate(run, k)} · at (${p.join(', ')}) m · `,
     sizes ? `95 % half axes ${sizes.join(', ')} m` : run.kept[k] ? 'no covariance given' : 'a dropped pose has no ellipsoid here', ' ',
     element('button', {type: 'button', class: 'link-button', onclick: () => onStep(k)}, 'go to its step'));
 }
@@ -67,7 +67,7 @@ export function showDecision(node, run, k, {named, chosen, onStep}) {
     element('div', {class: 'card-head'},
       element('h2', {}, named ? `${run.name}: ` : '', `pose ${run.id[k]}`),
       element('span', {class: `badge ${run.kept[k] ? 'badge-kept' : 'badge-dropped'}`},
-        run.kept[k] ? 'kept' : 'dropped', element('span', {class: 'badge-why'}, verdictInShort(run, k)))),
+        run.kept[k] ? 'kept' : 'dropped', verdictInShort(run, k) && element('span', {class: 'badge-why'}, verdictInShort(run, k)))),
     element('p', {class: 'explanation'}, explain(run, k)),
     gauge(decisions.pose_gain?.[k], run.thresholds.min_pose_gain),
     element('dl', {class: 'counts'},

@@ -17,7 +17,12 @@ export function verdictOf(run, k) {
 export function verdictInShort(run, k) {
   const verdict = verdictOf(run, k);
   if (verdict === 'redundant' && run.stats.strategy === 'rfpfl') return 'not drawn';
-  return kShort[verdict] ?? verdict ?? (run.kept[k] ? 'kept' : 'dropped');
+  return kShort[verdict] ?? verdict ?? '';
+}
+
+export function fate(run, k) {
+  const why = verdictInShort(run, k);
+  return `${run.kept[k] ? 'kept' : 'dropped'}${why ? `: ${why}` : ''}`;
 }
 
 // One or two sentences on why pose k was kept or dropped.
@@ -29,6 +34,7 @@ export function explain(run, k) {
     case 'first': return 'The first pose holds the map in its place.';
     case 'all_kept': return 'This strategy keeps every pose, whatever it tells.';
     case 'loop_closed':
+      if (run.stats.strategy === 'apal') return `${plural(accepted, 'link')} to earlier poses ${accepted === 1 ? 'was' : 'were'} measured here, and this strategy takes all.`;
       return `${plural(accepted, 'link')} of ${plural(tried, 'registration')} told enough about the map to be accepted, so the pose stays with ${accepted === 1 ? 'it' : 'them'}.`;
     case 'prior': return 'A prior, such as a position fix, or a held value ties this pose to the world.';
     case 'nothing_in_range': return 'No kept pose is likely to be in sensor range: without this one, a later visit would find nothing here.';

@@ -3,7 +3,7 @@
 import {cssColour, gainScale, ramp} from './colour.js';
 import {align, boxOf, isNumber, readReport, shareIds, verticalAxis} from './data.js';
 import {showDecision} from './decision.js';
-import {titleOf, verdictInShort} from './explain.js';
+import {fate, titleOf} from './explain.js';
 import {element, icon, integer, kIcons, number, plural} from './format.js';
 import {kLayers, halfAxes, MapScene} from './scene3d.js';
 import {Plots} from './plots.js';
@@ -111,7 +111,7 @@ class Page {
 
   alignmentChoice() {
     const choice = element('select', {'aria-label': 'How the runs are aligned', title: 'How the runs are aligned'},
-      [['id', 'by pose id'], ['share', 'by share']].map(([mode, label]) => element('option', {value: mode, selected: this.alignment.mode === mode}, label)));
+      [['id', 'by id'], ['share', 'by share']].map(([mode, label]) => element('option', {value: mode, selected: this.alignment.mode === mode}, label)));
     choice.addEventListener('change', () => {
       this.alignment = align(this.runs, choice.value);
       this.timeline.events = [...new Set(this.runs.flatMap((run, r) => this.positionsOfLinks(run, r)))].sort((a, b) => a - b);
@@ -257,7 +257,7 @@ class Page {
     if (!hit) return;
     const run = this.runs[hit.run], rect = $('stage').getBoundingClientRect();
     const covariance = run.covarianceOf.get(hit.pose);
-    tip.textContent = `pose ${run.id[hit.pose]} · ${run.kept[hit.pose] ? 'kept' : 'dropped'}: ${verdictInShort(run, hit.pose)}${covariance ? ` · ±${number(Math.hypot(...halfAxes(covariance, run.dimension)[0]), 2)} m` : ''}`;
+    tip.textContent = `pose ${run.id[hit.pose]} · ${fate(run, hit.pose)}${covariance ? ` · ±${number(Math.hypot(...halfAxes(covariance, run.dimension)[0]), 2)} m` : ''}`;
     const x = Math.min(event.clientX - rect.left + 14, rect.width - tip.offsetWidth - 6);
     tip.style.transform = `translate(${x}px, ${Math.max(event.clientY - rect.top - 34, 4)}px)`;
   }

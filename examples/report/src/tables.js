@@ -1,7 +1,7 @@
 // Thresholds and summary, each number with its key and its full value beside the one for people.
 
 import {isNumber} from './data.js';
-import {element, integer, number, seconds} from './format.js';
+import {element, integer, number, plural, seconds} from './format.js';
 
 const kLabels = {
   poses: 'poses of the input', edges: 'edges of the input', loop_edges: 'loop edges of the input', poses_kept: 'poses kept', links_kept: 'links kept',
@@ -31,7 +31,10 @@ function show(key, value) {
   if (value === undefined) return '–';
   if (value === null) return 'none';
   if (typeof value === 'boolean') return value ? 'yes' : 'no';
-  if (Array.isArray(value)) return value.every(isNumber) && value.length <= 6 ? value.map((x) => number(x, 3)).join('  ') : `${integer(value.length)} entries`;
+  if (Array.isArray(value)) {
+    if (value.length === 0) return 'none';
+    return value.every(isNumber) && value.length <= 6 ? value.map((x) => number(x, 3)).join('  ') : plural(value.length, 'entry', 'entries');
+  }
   if (!isNumber(value)) return String(value);
   if (/(^|\.)seconds(\.|$)|step_seconds|_seconds$/.test(key)) return seconds(value);
   return number(value, 5);
@@ -47,7 +50,7 @@ const cell = (key, value, text) => element('td', {'data-key': key, 'data-value':
 
 function ratio(values) {
   const [a, b] = values;
-  return isNumber(a) && isNumber(b) && a !== 0 ? `× ${number(b / a, 3)}` : '–';
+  return isNumber(a) && isNumber(b) && a !== 0 ? `×\u00a0${number(b / a, 3)}` : '–';
 }
 
 // rows: [key, label, note, [value of each run], formatter]
@@ -107,6 +110,11 @@ export function showTables(node, runs) {
 
 const lastNumber = (list) => (list ?? []).filter(isNumber).pop();
 
+function median(list) {
+  const sorted = (list ?? []).filter(isNumber).sort((a, b) => a - b);
+  return sorted[Math.floor(sorted.length / 2)];
+}
+
 // The few numbers at the top.
 export function showFigures(node, runs) {
   const figures = [
@@ -118,7 +126,11 @@ export function showFigures(node, runs) {
       return isNumber(ate) ? [`${number(ate, 3)} m`, 'RMS'] : ['–', run.truth ? 'not recorded' : 'no ground truth'];
     }],
     ['χ² per scalar', (run) => [number(run.stats.normalized_chi2, 3), run.stats.converged === false ? 'not converged' : run.stats.converged ? 'converged' : '']],
-    ['Median step', (run) => [seconds(run.stats.step_seconds?.median), isNumber(run.stats.seconds?.total) ? `${seconds(run.stats.seconds.total)} in all` : '']],
+    ['Median step', (run) => {
+      const total = isNumber(run.stats.seconds) ? run.stats.seconds : run.stats.seconds?.total;
+      const note = isNumber(run.stats.fps) ? `${number(run.stats.fps, 3)} frames/s` : isNumber(total) ? `${seconds(total)} in all` : '';
+      return [seconds(run.stats.step_seconds?.median ?? median(run.steps.seconds)), note];
+    }],
   ];
   node.replaceChildren(...figures.map(([name, of]) => element('div', {class: 'figure'}, element('div', {class: 'figure-name'}, name),
     runs.map((run, r) => {
