@@ -231,7 +231,11 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
     if (edge == nullptr || !edge->is_loop) continue;
     slam.links_.push_back({report.factor_ids[k], edge->added_at, edge->gain});
   }
-  const BatchResult<Pose> result = slam.Finish();
+  // Placed one after the other, the poses are not where they were; at the optimum they are, so it is sought closely.
+  BatchOptions closely;
+  closely.relative_tolerance = 1e-16;
+  const BatchResult<Pose> result = slam.solver_->Finish(closely);
+  slam.UpdateCovariances();
   if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
     throw NumericalError(result.message);
   }

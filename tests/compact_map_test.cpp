@@ -85,7 +85,7 @@ TYPED_TEST(CompactMapTest, ContinuesAsTheRunItCameFrom) {
       SCOPED_TRACE(std::string(Name(strategy)) + (priors ? ", priors" : ""));
       const Course<Pose> course(priors ? 2 : 1, strategy, priors);
       CompactPoseSlam<Pose> running = course.Run(30);
-      running.Finish();
+      for (int k = 0; k < 3; ++k) running.Finish();  // each ends where a step is worth less than 1e-11 of chi2
       auto restored = CompactPoseSlam<Pose>::Restore(running.Export(), course.options);
       EXPECT_EQ(restored.PosesSeen(), 30);
       EXPECT_EQ(restored.LinksKept(), running.LinksKept());
@@ -95,9 +95,9 @@ TYPED_TEST(CompactMapTest, ContinuesAsTheRunItCameFrom) {
         ExpectSame(course.Add(running, k), course.Add(restored, k));
         if (::testing::Test::HasFailure()) return;
       }
+      ExpectSamePoses(running, restored, 1e-9);
       const auto a = running.Finish(), b = restored.Finish();
       EXPECT_NEAR(a.chi2, b.chi2, 1e-9 * a.chi2);
-      ExpectSamePoses(running, restored, 1e-8);
     }
   }
 }
@@ -291,7 +291,8 @@ TYPED_TEST(CompactMapTest, AReplayOfWhatIsNew) {
       }
       part.AddFactor(node.factor);
     }
-    for (const PoseGraph<Pose>* graph : {&course.graph, static_cast<const PoseGraph<Pose>*>(&part)}) {
+    const PoseGraph<Pose>* const graphs[] = {&course.graph, &part};
+    for (const PoseGraph<Pose>* graph : graphs) {
       GraphReplay<Pose> rest(*graph, seen);
       ASSERT_EQ(rest.Inputs().size(), 20u);
       const auto registration = rest.AsRegistration();

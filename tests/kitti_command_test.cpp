@@ -62,6 +62,23 @@ TEST_F(KittiCommandTest, WritesTrajectoryMapLoopsAndStatistics) {
   EXPECT_TRUE(stats.at("errors").at("t_rel_percent").is_null()) << "shorter than 100 m";
   EXPECT_EQ(CsvRows(Read("out/loops.csv")).size(), stats.at("compared"));
   EXPECT_EQ(CsvRows(Read("out/covariances.csv")).size(), static_cast<std::size_t>(kFrames));
+  // A run's folder as compact leaves it.
+  EXPECT_EQ(CsvRows(Read("out/decisions.csv")).size(), static_cast<std::size_t>(kFrames));
+  const auto steps = CsvRows(Read("out/steps.csv"));
+  ASSERT_EQ(steps.size(), static_cast<std::size_t>(kFrames));
+  EXPECT_NEAR(std::stod(steps.back()[9]), stats.at("errors").at("ate_m").get<double>(), 0.05);
+  EXPECT_TRUE(Exists("out/decisions.jsonl"));
+  EXPECT_TRUE(Exists("out/covariances.npz"));
+  EXPECT_EQ(ReadTrajectory(Path("out/ground_truth.tum")).stamps, tum.stamps);
+  const auto map = JsonFile("out/graph.json");
+  ASSERT_EQ(map["poses"].size(), static_cast<std::size_t>(kFrames));
+  for (const auto& pose : map["poses"]) {
+    const auto id = PoseId{pose["id"].get<std::int64_t>()};
+    const auto& p = graph.Poses()[static_cast<std::size_t>(graph.IndexOf(id))].T_world_body->Translation();
+    for (int k = 0; k < 3; ++k) {
+      EXPECT_NEAR(pose["T_world_body"][static_cast<std::size_t>(k)].get<double>(), p[k], 1e-9);
+    }
+  }
   // What it wrote is a compact map like any other.
   EXPECT_EQ(JsonFile("out/thresholds.json").at("dimension"), 3);
   Succeed("kitti street --output again --thresholds out/thresholds.json --quiet");
