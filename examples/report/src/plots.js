@@ -139,12 +139,18 @@ export class Plots {
         ctx.moveTo(bbox.left, y);
         ctx.lineTo(bbox.left + bbox.width, y);
         ctx.stroke();
-        ctx.fillStyle = text;
+        ctx.fillStyle = cssVariable('--text');
         ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
         ctx.textAlign = 'right';
         const below = y - bbox.top < 16 * devicePixelRatio;
         ctx.textBaseline = below ? 'top' : 'bottom';
-        ctx.fillText(`threshold ${number(value, 3)}`, bbox.left + bbox.width - 2, y + (below ? 3 : -2));
+        const label = [`threshold ${number(value, 3)}`, bbox.left + bbox.width - 4, y + (below ? 4 : -4)];
+        ctx.setLineDash([]);
+        ctx.lineJoin = 'round';
+        ctx.lineWidth = 4 * devicePixelRatio;
+        ctx.strokeStyle = cssVariable('--surface');
+        ctx.strokeText(...label);  // readable on dots, too
+        ctx.fillText(...label);
         ctx.restore();
       }
     };
