@@ -233,7 +233,7 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   }
   // Placed one after the other, the poses are not where they were; at the optimum they are, so it is sought closely.
   BatchOptions closely;
-  closely.relative_tolerance = 1e-16;
+  closely.relative_tolerance = 1e-20;
   const BatchResult<Pose> result = slam.solver_->Finish(closely);
   slam.UpdateCovariances();
   if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
