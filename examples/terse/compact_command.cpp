@@ -235,7 +235,7 @@ void AddCompactCommand(CLI::App& app) {
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   AddVerboseOption(*command, options->log);
   command->footer(
-      "Example: terse generate ellipse-n --laps 3 --output laps.g2o &&\n"
+      "Example: terse generate ellipse-n --laps 2 --output laps.g2o &&\n"
       "         terse compact laps.g2o --strategy fpfl --output laps_fpfl");
   command->callback([options] { Compact(*options); });
 }
