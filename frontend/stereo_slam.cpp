@@ -91,9 +91,11 @@ std::optional<RelativePoseFactor<SE3>> StereoSlam::Register(PoseId candidate, Po
   step.times.verification += attempt.milliseconds;
   const LoopVerification& v = attempt.verification;
   step.attempts.push_back(attempt);
-  internal::Log(options_.log, v.Verified() ? LogLevel::kInfo : LogLevel::kDebug, "loop ", candidate.value, " - ",
-                current.value, " ", v.Verified() ? "" : "refused: ", Name(v.outcome), "; ", v.matches, " matches, ",
-                v.agreeing, " agree, ", v.inliers, " inliers, ", 100 * v.confirmed, " % of the points confirmed");
+  // Few matches say no more than that the place looks different.
+  const LogLevel level = v.outcome == LoopOutcome::kFewMatches ? LogLevel::kDebug : LogLevel::kInfo;
+  internal::Log(options_.log, level, "loop ", candidate.value, " - ", current.value, " ",
+                v.Verified() ? "" : "refused: ", Name(v.outcome), "; ", v.matches, " matches, ", v.agreeing, " agree, ",
+                v.inliers, " inliers, ", 100 * v.confirmed, " % of the points confirmed");
   if (!v.Verified()) return std::nullopt;
   return Link(candidate, current, v.T_candidate_current, v.covariance);
 }

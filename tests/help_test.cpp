@@ -111,7 +111,7 @@ TEST_F(Help, VerboseSaysWhatIsDoneOnStandardError) {
       {"solve e.g2o", "batch: converged"},
       {"solve e.g2o --mode incremental", "batch: converged"},
       {"covariance e.g2o --solve --ids 1", "batch: converged"},
-      {"compact e.g2o --output few", "pose 0 kept, first"},
+      {"compact e.g2o --strategy fpfl --output few", "pose 0 kept, first"},
       {"sweep e.g2o --threshold pose --steps 1", "pose 0 kept, first"},
       {"online --range 10 10 10 1.5 < e.g2o", "pose 0 kept, first"},
   };

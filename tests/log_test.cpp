@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "core/internal/terse/core/log_message.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/log_message.h"
 #include "testing_compact.h"
 #include "testing_files.h"
 #include "testing_incremental.h"
@@ -169,7 +169,7 @@ TEST(LogTest, LeavesStateAndResultAsTheyAre) {
     auto options = testing::OptionsFor(replay, Strategy::kFpfl);
     options.log = sink;
     const auto run = testing::RunCompact(replay, options);
-    const testing::TestFile file("log.state", "");
+    const TestFile file("log.state", "");
     run.slam->Save(file.Path());
     CompactPoseSlam<SE3> loaded = CompactPoseSlam<SE3>::Load(file.Path(), sink);
     std::string estimates;

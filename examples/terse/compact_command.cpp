@@ -286,9 +286,9 @@ void AddCompactCommand(CLI::App& app) {
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   AddVerboseOption(*command, options->log);
   command->footer(
-      "Example: terse generate ellipse-n --laps 3 --output laps.g2o --ground-truth laps.tum &&\n"
+      "Example: terse generate ellipse-n --laps 1 --output laps.g2o --ground-truth laps.tum &&\n"
       "         terse compact laps.g2o --strategy fpfl --ground-truth laps.tum --output laps_fpfl &&\n"
-      "         terse generate ellipse-n --laps 4 --output longer.g2o &&\n"
+      "         terse generate ellipse-n --laps 2 --output longer.g2o &&\n"
       "         terse compact longer.g2o --continue laps_fpfl --output longer_fpfl");
   command->callback([options] { Compact(*options); });
 }

@@ -89,7 +89,7 @@ void AddGenerateStereo(CLI::App& generate) {
       ->type_name("N")
       ->capture_default_str();
   command->add_flag("--quiet", options->quiet, "No progress line");
-  command->footer("Example: terse generate stereo --laps 1 --frames 60 --size 306x92 --output street");
+  command->footer("Example: terse generate stereo --laps 1 --frames 180 --size 306x92 --output street");
   command->callback([options] { RunGenerateStereo(*options); });
 }
 

@@ -136,7 +136,7 @@ void AddKittiCommand(CLI::App& app) {
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   AddVerboseOption(*command, options->log);
   command->footer(
-      "Example: terse generate stereo --laps 1 --frames 60 --size 306x92 --output street &&\n"
+      "Example: terse generate stereo --laps 1 --frames 180 --size 306x92 --output street &&\n"
       "         terse kitti street --output street_map --ground-truth street/poses.txt");
   command->callback([options] { Kitti(*options); });
 }

@@ -48,7 +48,11 @@ void AddOption(const CLI::Option& option, std::ostream& out) {
     out << names;
     if (option.get_items_expected_max() > 0) {
       const std::vector<std::string> values = ValuesOf(option);
-      out << ' ' << Italic(values.empty() ? option.get_type_name() : CLI::detail::join(values, "|"));
+      const std::string& own = option.get_option_text();
+      out << ' '
+          << Italic(!own.empty()     ? own
+                    : values.empty() ? option.get_type_name()
+                                     : CLI::detail::join(values, "|"));
     }
   }
   out << '\n' << Escape(option.get_description()) << '\n';

@@ -222,8 +222,8 @@ void AddSweepCommand(CLI::App& app) {
   command->add_flag("--quiet", options->quiet, "No progress or warnings on standard error");
   AddVerboseOption(*command, options->log);
   command->footer(
-      "Example: terse generate ellipse-n --laps 3 --output laps.g2o &&\n"
-      "         terse sweep laps.g2o --threshold pose --steps 3 --csv sweep.csv --svg sweep.svg");
+      "Example: terse generate ellipse --output ellipse.g2o &&\n"
+      "         terse sweep ellipse.g2o --threshold pose --steps 3 --csv sweep.csv --svg sweep.svg");
   command->callback([options] { SweepFile(*options); });
 }
 

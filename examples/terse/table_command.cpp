@@ -235,8 +235,8 @@ void AddTableCommand(CLI::App& app) {
       "N-chi2: chi2 per measured scalar. ATE: metres, against the batch optimum. update, solve: the paper's work "
       "model, "
       "mean per edge; our: floating-point operations of this program.\n"
-      "Example: mkdir -p graphs && terse generate manhattan --poses 200 --output graphs/MIT.g2o &&\n"
-      "         terse table igg-spo graphs --graphs MIT --initial file");
+      "Example: mkdir -p graphs && terse generate manhattan --poses 100 --output graphs/MIT.g2o &&\n"
+      "         terse table igg-spo graphs --graphs MIT --policies gni-spo-igg,default --initial file");
   command->callback([options] { RunIggSpo(*options); });
   AddCompactTable(*table);
 }

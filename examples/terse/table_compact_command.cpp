@@ -150,9 +150,7 @@ void AddCompactTable(CLI::App& table) {
   command->add_option("--update", options->update, "Put the tables into this document, between <!-- tables --> marks")
       ->type_name("FILE");
   command->add_flag("--quiet", options->table.quiet, "No progress on standard error");
-  command->footer(
-      "Example: mkdir -p graphs && terse generate sphere --poses 200 --output graphs/sphere2500.g2o &&\n"
-      "         terse table compact graphs --graphs ellipse,sphere2500 --random-runs 2 --output figures");
+  command->footer("Example: terse table compact . --graphs ellipse --random-runs 1 --output figures");
   command->callback([options] { RunTable(*options); });
 }
 
