@@ -33,8 +33,12 @@ set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS_PRIVATE_DIRS ${CMAKE_LIBRARY_OUTPUT_DIRECTORY
 set(CPACK_DEBIAN_PACKAGE_CONTROL_EXTRA ${PROJECT_BINARY_DIR}/debian/shlibs ${PROJECT_SOURCE_DIR}/cmake/debian/triggers)
 set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION TRUE)
 set(CPACK_DEBIAN_PACKAGE_DEPENDS "libeigen3-dev (>= 3.4)")
+set(CPACK_DEBIAN_PACKAGE_RECOMMENDS "librsvg2-bin, xdg-utils")  # terse plot --format png, terse report --open
 if(TERSE_BUILD_FRONTEND)
-  set(CPACK_DEBIAN_PACKAGE_RECOMMENDS "libopencv-dev (>= 4.5)")  # terse::frontend; all else does without
+  string(APPEND CPACK_DEBIAN_PACKAGE_RECOMMENDS ", libopencv-dev (>= 4.5)")  # terse::frontend; all else does without
+endif()
+if(TERSE_BUILD_PYTHON)
+  string(APPEND CPACK_DEBIAN_PACKAGE_RECOMMENDS ", python3-numpy")
 endif()
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS "cmake, pkg-config, bash-completion")
 

@@ -2,8 +2,17 @@
 set(root ${CPACK_TEMPORARY_DIRECTORY}/usr)
 set(doc ${root}/share/doc/terse)
 
+# One folder for all versions of Python, where it was built (TERSE_BUILD_PYTHON).
+file(GLOB modules ${root}/lib/python3.*/dist-packages)
+foreach(folder ${modules})
+  file(MAKE_DIRECTORY ${root}/lib/python3)
+  file(RENAME ${folder} ${root}/lib/python3/dist-packages)
+  get_filename_component(versioned ${folder} DIRECTORY)
+  file(REMOVE_RECURSE ${versioned})
+endforeach()
+
 # The loader looks into /usr/lib anyway.
-file(GLOB binaries ${root}/bin/* ${root}/lib/*.so*)
+file(GLOB binaries ${root}/bin/* ${root}/lib/*.so* ${root}/lib/python3/dist-packages/terse/*.so)
 foreach(file ${binaries})
   if(NOT IS_SYMLINK ${file})
     file(RPATH_REMOVE FILE ${file})
