@@ -235,7 +235,8 @@ TEST_F(OnlineCommand, BadLinesAreAnsweredAndChangeNothing) {
     EXPECT_EQ(WithoutSeconds(decisions[k]), WithoutSeconds(expected[k]));
 
   const auto only_error = [&](const std::string& input) { return Answers(input, kOptions).back()["error"]; };
-  EXPECT_EQ(only_error("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 17"), "stdin:1: the input ends within this line");
+  EXPECT_EQ(only_error("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 17"),
+            "stdin:1: the input ends within this line, expected a line end");
   EXPECT_NE(only_error("EDGE_SE3:QUAT 0 1 1\n").get<std::string>().find("in a run in 2D"), std::string::npos);
   EXPECT_NE(only_error("VERTEX2 0 1 1 0\n").get<std::string>().find("VERTEX2"), std::string::npos);
   EXPECT_NE(only_error("EDGE_SE2 0 1 \xff 0 0 1 0 0 1 0 1\n").get<std::string>().find("not a number"),

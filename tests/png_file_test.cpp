@@ -108,7 +108,9 @@ TEST(PngFile, DamageAtAnyByteIsAnError) {
   const std::string bytes = whole.Content();
   for (std::size_t k = 0; k < bytes.size(); ++k) {
     const TestFile part("part.png", bytes.substr(0, k));
-    EXPECT_EQ(CauseOf(part.Path()), k < 8 ? "not a PNG image" : "the PNG image is cut off") << k;
+    EXPECT_EQ(CauseOf(part.Path()),
+              k < 8 ? "not a PNG image, expected one" : "the PNG image is cut off, expected more bytes")
+        << k;
     std::string flipped = bytes;
     flipped[k] = static_cast<char>(flipped[k] ^ 4);
     const TestFile damaged("damaged.png", flipped);

@@ -167,7 +167,7 @@ TEST(StereoOdometry, TellsItsLog) {
   odometry.Track(Frame(0));
   odometry.Track(Frame(1));
   StereoFrame dark = Frame(2);
-  dark.left = cv::Mat::zeros(dark.left.size(), CV_8UC1);
+  dark.left = cv::Mat(dark.left.size(), CV_8UC1, cv::Scalar(0));  // not into the shared pixels
   odometry.Track(dark);
   ASSERT_EQ(warnings.size(), 1u);
   EXPECT_NE(warnings[0].find("frame 2 lost: dark"), std::string::npos) << warnings[0];

@@ -53,7 +53,7 @@ TEST_F(TableCommand, SaysWhatIsMissing) {
   ExpectFailure("table igg-spo . --graphs MIT,nothing", 2, "nothing");
   ExpectFailure("table igg-spo . --initial tree", 2, "tree");
   Write("MIT.g2o", "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n");
-  ExpectFailure("table igg-spo . --graphs MIT", 1, "not a 2D graph");
+  ExpectFailure("table igg-spo . --graphs MIT", 1, "a 3D graph, expected a 2D one");
   Write("MIT.g2o", "VERTEX_SE2 0 0 0\n");
   ExpectFailure("table igg-spo . --graphs MIT", 1, "MIT.g2o:1");
 }

@@ -137,7 +137,7 @@ void AddKittiCommand(CLI::App& app) {
   AddVerboseOption(*command, options->log);
   command->footer(
       "Example: terse generate stereo --laps 1 --frames 180 --size 306x92 --output street &&\n"
-      "         terse kitti street --output street_map --ground-truth street/poses.txt");
+      "         terse kitti street --frames 0:40 --output street_map --ground-truth street/poses.txt");
   command->callback([options] { Kitti(*options); });
 }
 
