@@ -91,7 +91,10 @@ void AddPlotCommand(CLI::App& app) {
       ->type_name("PIXELS")
       ->capture_default_str();
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
-  command->footer("Example: terse plot laps_fpfl --what trajectory --format both");
+  command->footer(
+      "Example: terse generate ellipse --output ellipse.g2o &&\n"
+      "         terse compact ellipse.g2o --output ellipse_fpfl &&\n"
+      "         terse plot ellipse_fpfl --what trajectory,gains");
   command->callback([options] { Plot(*options); });
 }
 

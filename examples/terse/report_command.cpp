@@ -61,7 +61,11 @@ void AddReportCommand(CLI::App& app) {
       ->type_name("FILE");
   command->add_flag("--open", options->open, "Show it in the browser");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
-  command->footer("Example: terse report laps_fpfl --open");
+  command->footer(
+      "Example: terse generate ellipse --output ellipse.g2o &&\n"
+      "         terse compact ellipse.g2o --output ellipse_fpfl &&\n"
+      "         terse compact ellipse.g2o --strategy apal --output ellipse_apal &&\n"
+      "         terse report ellipse_apal ellipse_fpfl");
   command->callback([options] { Report(*options); });
 }
 
