@@ -231,10 +231,12 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
     if (edge == nullptr || !edge->is_loop) continue;
     slam.links_.push_back({report.factor_ids[k], edge->added_at, edge->gain});
   }
-  // Placed one after the other, the poses are not where they were; at the optimum they are, so it is sought closely.
-  BatchOptions closely;
-  closely.relative_tolerance = 1e-20;
-  const BatchResult<Pose> result = slam.solver_->Finish(closely);
+  // Not from the solver's estimates: with its gate closed it has placed all poses one after the other, as new ones.
+  std::vector<Pose> T_world_body;
+  for (const auto& pose : map.poses) {
+    if (pose.kept) T_world_body.push_back(pose.T_world_body);
+  }
+  const BatchResult<Pose> result = slam.solver_->FinishFrom(T_world_body);
   slam.UpdateCovariances();
   if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
     throw NumericalError(result.message);

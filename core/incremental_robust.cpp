@@ -394,7 +394,8 @@ double IncrementalSolver<Pose>::WeightOf(FactorId id) const {
 }
 
 template <class Pose>
-BatchResult<Pose> IncrementalSolver<Pose>::SolveRobustBatch(BatchOptions options) const {
+BatchResult<Pose> IncrementalSolver<Pose>::SolveRobustBatch(const std::vector<Pose>& T_world_body,
+                                                            BatchOptions options) const {
   options.robust = options_.robust;
   options.robust_factors.emplace();
   for (const Parked& parked : parked_) options.robust_factors->push_back(parked.id);
@@ -402,11 +403,10 @@ BatchResult<Pose> IncrementalSolver<Pose>::SolveRobustBatch(BatchOptions options
     if (is_loop_[slot]) options.robust_factors->push_back(factor_of_slot_[slot]);
   }
   options.graduate = false;
-  const std::vector<Pose> estimates = Estimates();
-  BatchResult<Pose> result = SolveBatch(graph_, estimates, options);
+  BatchResult<Pose> result = SolveBatch(graph_, T_world_body, options);
   if (options.robust.kernel != RobustKernel::kGnc || parked_.empty()) return result;
   options.graduate = true;
-  BatchResult<Pose> graduated = SolveBatch(graph_, estimates, options);
+  BatchResult<Pose> graduated = SolveBatch(graph_, T_world_body, options);
   return graduated.robust_cost < result.robust_cost * (1 - 1e-9) ? graduated : result;
 }
 
@@ -430,14 +430,14 @@ void IncrementalSolver<Pose>::TakeWeights(const std::vector<double>& weights) {
   if (!in.empty() || !out.empty()) ChangeLoops(in, out, report);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                             \
-  template void IncrementalSolver<Pose>::FindLoops(const GraphUpdate<Pose>&, Plan&) const;  \
-  template void IncrementalSolver<Pose>::Unpark(FactorId);                                  \
-  template void IncrementalSolver<Pose>::AdmitNewLoops(Plan&, StepReport&);                 \
-  template void IncrementalSolver<Pose>::ReviewLoops(Clock::time_point, StepReport&);       \
-  template double IncrementalSolver<Pose>::RobustChi2() const;                              \
-  template double IncrementalSolver<Pose>::WeightOf(FactorId) const;                        \
-  template BatchResult<Pose> IncrementalSolver<Pose>::SolveRobustBatch(BatchOptions) const; \
+#define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template void IncrementalSolver<Pose>::FindLoops(const GraphUpdate<Pose>&, Plan&) const;                            \
+  template void IncrementalSolver<Pose>::Unpark(FactorId);                                                            \
+  template void IncrementalSolver<Pose>::AdmitNewLoops(Plan&, StepReport&);                                           \
+  template void IncrementalSolver<Pose>::ReviewLoops(Clock::time_point, StepReport&);                                 \
+  template double IncrementalSolver<Pose>::RobustChi2() const;                                                        \
+  template double IncrementalSolver<Pose>::WeightOf(FactorId) const;                                                  \
+  template BatchResult<Pose> IncrementalSolver<Pose>::SolveRobustBatch(const std::vector<Pose>&, BatchOptions) const; \
   template void IncrementalSolver<Pose>::TakeWeights(const std::vector<double>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -150,7 +150,14 @@ double IncrementalSolver<Pose>::Chi2() const {
 
 template <class Pose>
 BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
-  BatchResult<Pose> result = IsRobust() ? SolveRobustBatch(options) : SolveBatch(graph_, Estimates(), options);
+  return FinishFrom(Estimates(), options);
+}
+
+template <class Pose>
+BatchResult<Pose> IncrementalSolver<Pose>::FinishFrom(const std::vector<Pose>& T_world_body,
+                                                      const BatchOptions& options) {
+  BatchResult<Pose> result =
+      IsRobust() ? SolveRobustBatch(T_world_body, options) : SolveBatch(graph_, T_world_body, options);
   if (result.termination == Termination::kNotPositiveDefinite) return result;
   if (IsRobust()) TakeWeights(result.weights);
   // The factor of this solver moves to the optimum too: every linearisation point changes.

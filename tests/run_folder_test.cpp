@@ -437,6 +437,16 @@ TEST_F(RunFolder, ContinuesWithMore) {
   check(SE3());
 }
 
+// A map whose odometry alone leads far away starts where it was.
+TEST_F(RunFolder, GoesOnFromTheEstimates) {
+  Succeed("generate sphere --poses 600 --seed 2 --output in.g2o");
+  Succeed("compact in.g2o --strategy fpfl --quiet --output old");
+  Succeed("compact in.g2o --continue old --quiet --output new");
+  const auto before = JsonFile("old/stats.json"), after = JsonFile("new/stats.json");
+  EXPECT_NEAR(after["chi2"].get<double>(), before["chi2"].get<double>(), 1e-9 * before["chi2"].get<double>());
+  EXPECT_LE(after["iterations"], 2);
+}
+
 TEST_F(RunFolder, BadGraphsAreNamedAndLeaveNothing) {
   MakeScene(2);
   Succeed("compact in.g2o --strategy fpfl --quiet --output old");

@@ -57,6 +57,8 @@ class IncrementalSolver {
   // this solver's, whatever `options` says; kGnc starts from the loops that are in, and graduates all of them besides
   // if any is out, the lower cost of both winning.
   BatchResult<Pose> Finish(const BatchOptions& options = {});
+  // The same from other values than the estimates, by pose index.
+  BatchResult<Pose> FinishFrom(const std::vector<Pose>& T_world_body, const BatchOptions& options = {});
 
   // Poses and living factors; the pose values in it are the initial ones.
   const PoseGraph<Pose>& Graph() const { return graph_; }
@@ -166,7 +168,7 @@ class IncrementalSolver {
   void SetWeight(int slot, double weight);
   bool RetryParked(StepReport& report);
   void ReviewLoops(Clock::time_point start, StepReport& report);
-  BatchResult<Pose> SolveRobustBatch(BatchOptions options) const;
+  BatchResult<Pose> SolveRobustBatch(const std::vector<Pose>& T_world_body, BatchOptions options) const;
   void TakeWeights(const std::vector<double>& weights);
   // incremental_points.cpp: Carry::kPoint.
   using Steps = std::map<int, Vector<B>>;  // by variable
