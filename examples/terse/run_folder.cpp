@@ -83,6 +83,21 @@ class Reader {
     }
   }
 
+  // By id where the stamps are ids, in whatever order; else (kitti: seconds) row by row.
+  std::vector<SE3> ReadPosesFrom(const std::string& path) const {
+    const Trajectory trajectory = ReadTrajectory(path);
+    const size_t count = trajectory.stamps.size();
+    RequireCount(path, count, run_.ids.size());
+    std::vector<SE3> out(count);
+    for (size_t k = 0; k < count; ++k) {
+      const auto found = index_.find(static_cast<std::int64_t>(trajectory.stamps[k]));
+      if (found == index_.end() || trajectory.stamps[k] != std::floor(trajectory.stamps[k]))
+        return trajectory.T_world_body;
+      out[static_cast<size_t>(found->second)] = trajectory.T_world_body[k];
+    }
+    return out;
+  }
+
   void ReadDecisions(const std::string& path) {
     std::istringstream lines(ReadText(path));
     long number = 0;
@@ -205,16 +220,14 @@ RunFolder ReadRunFolder(const std::string& path) {
   run.stats = ReadObject<nlohmann::ordered_json>(path + "/stats.json");
   Reader reader(run);
   WithJsonErrors(graph_path, 0, [&] { reader.ReadPoses(graph); });
-  run.T_world_body = ReadTrajectory(path + "/trajectory.tum").T_world_body;
-  RequireCount(path + "/trajectory.tum", run.T_world_body.size(), run.ids.size());
+  run.T_world_body = reader.ReadPosesFrom(path + "/trajectory.tum");
   reader.ReadDecisions(path + "/decisions.jsonl");
   WithJsonErrors(graph_path, 0, [&] { reader.ReadEdges(graph); });
   reader.ReadSteps(path + "/steps.csv");
   reader.ReadCovariances(path + "/covariances.csv");
-  const std::string truth_path = path + "/ground_truth.tum";
-  if (std::filesystem::exists(truth_path)) {
-    std::vector<SE3> truth = ReadTrajectory(truth_path).T_world_body;
-    RequireCount(truth_path, truth.size(), run.ids.size());
+  // The file may be left from an earlier run into the same folder.
+  if (run.stats.contains("errors")) {
+    std::vector<SE3> truth = reader.ReadPosesFrom(path + "/ground_truth.tum");
     const SE3 T_estimate_truth = Align(truth, run.T_world_body, run.dimension == 3 ? Alignment::kSE3 : Alignment::kSE2);
     for (SE3& T : truth) T = T_estimate_truth * T;
     run.T_world_body_true = std::move(truth);

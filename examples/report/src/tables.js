@@ -122,7 +122,7 @@ export function showFigures(node, runs) {
     ['Links kept', (run) => [integer(run.linksBy[run.n - 1] ?? 0), isNumber(run.stats.links_offered) ? `of ${integer(run.stats.links_offered)}` : 'beside the odometry']],
     ['Registrations', (run) => [isNumber(run.stats.registrations_tried) ? integer(run.stats.registrations_tried) : isNumber(run.stats.compared) ? integer(run.stats.compared) : '–', 'tried']],
     ['Error (ATE)', (run) => {
-      const ate = lastNumber(run.steps.ate_m) ?? run.stats.errors?.ate_m;
+      const ate = run.stats.errors?.ate_m ?? lastNumber(run.steps.ate_m);
       return isNumber(ate) ? [`${number(ate, 3)} m`, 'RMS'] : ['–', run.truth ? 'not recorded' : 'no ground truth'];
     }],
     ['χ² per scalar', (run) => [number(run.stats.normalized_chi2, 3), run.stats.converged === false ? 'not converged' : run.stats.converged ? 'converged' : '']],
