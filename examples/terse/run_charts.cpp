@@ -9,8 +9,8 @@ namespace {
 
 // Names of the lines: with one run what is drawn, with several whose it is.
 std::string LineName(const std::vector<RunFolder>& runs, const RunFolder& run, const std::string& what) {
-  if (runs.size() == 1) return what;
-  return what.empty() ? run.name : run.name + ", " + what;
+  if (what.empty()) return run.name;
+  return runs.size() == 1 ? what : run.name + ", " + what;
 }
 
 double NumberAt(const nlohmann::ordered_json& object, const char* key) {
