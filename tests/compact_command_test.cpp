@@ -35,8 +35,8 @@ class CompactCommand : public testing::CommandTest {
 };
 
 const std::vector<std::string> kResults = {"compact.g2o",     "covariances.csv", "covariances.npz", "decisions.csv",
-                                           "decisions.jsonl", "graph.json",      "stats.json",      "steps.csv",
-                                           "thresholds.json", "trajectory.tum"};
+                                           "decisions.jsonl", "graph.json",      "report.html",     "stats.json",
+                                           "steps.csv",       "thresholds.json", "trajectory.tum"};
 
 template <class Pose>
 bool HasFactor(const PoseGraph<Pose>& graph, const Factor<Pose>& factor) {
