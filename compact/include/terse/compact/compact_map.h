@@ -2,8 +2,8 @@
 // A compact map as a plain value: what CompactPoseSlam::Export gives and Restore continues from.
 //
 // Estimates are those at the time of the export. Restore starts from them and brings the map to its optimum, so it
-// continues as the run that was exported would have after Finish(), up to rounding: the same factors in another order
-// of elimination. (CompactPoseSlam::Save is for continuing to the last bit.) Options are not part of it.
+// continues as the run that was exported would have after Finish(), up to the tolerance of that (a step worth 1e-11 of
+// chi2). (CompactPoseSlam::Save is for continuing to the last bit.) Options are not part of it.
 
 #include <optional>
 #include <string>
