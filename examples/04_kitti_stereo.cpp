@@ -18,7 +18,7 @@ int main(int argc, char** argv) try {
     return 2;
   }
   const KittiSequence sequence(argv[1]);  // what is missing or wrong is an exception that names the file
-  const StereoSlamOptions options;  // for a vehicle at ten frames a second
+  const StereoSlamOptions options;        // for a vehicle at ten frames a second
   StereoSlam slam(sequence.Camera(), options);
 
   auto frames = sequence.Frames(0, sequence.Size());  // decoded ahead on a second thread

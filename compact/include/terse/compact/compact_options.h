@@ -21,7 +21,7 @@ struct CompactOptions {
   Strategy strategy = Strategy::kFpfl;
   // v. Sensor range per dimension of the displacement: metres, then radians.
   Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Constant(1);
-  double probability = 0.1;    // s: every dimension must be in range with more than this
+  double probability = 0.1;  // s: every dimension must be in range with more than this
   // g_loop, g_pose, nats. These keep much: SelectThresholds (thresholds.h) takes at least 0.5 and 0.9 nats per degree
   // of freedom, 3 and 5.4 in 3D, and the range from the data too.
   double min_loop_gain = 1.0;
