@@ -23,8 +23,10 @@ sources = $(shell find $(wildcard lie core covariance compact frontend examples 
   readme-picture install package asan format format-check deps clean help
 .DEFAULT_GOAL := all
 
+# With the Python package where it is switched on, which `make install` and `make package` then take along.
 all: build/build.ninja ## build the command, build/bin/terse
-	@cmake --build build -j $(JOBS) --target bin/terse
+	@cmake --build build -j $(JOBS) --target bin/terse \
+	  $$(grep -qx 'TERSE_BUILD_PYTHON:BOOL=ON' build/CMakeCache.txt && echo terse_python)
 
 demo: all ## build, then run the demonstration
 	@examples/demo.sh

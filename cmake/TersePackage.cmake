@@ -38,8 +38,7 @@ if(TERSE_BUILD_FRONTEND)
   string(APPEND CPACK_DEBIAN_PACKAGE_RECOMMENDS ", libopencv-dev (>= 4.5)")  # terse::frontend; all else does without
 endif()
 if(TERSE_BUILD_PYTHON)
-  string(APPEND CPACK_DEBIAN_PACKAGE_DEPENDS ", python3")
-  string(APPEND CPACK_DEBIAN_PACKAGE_RECOMMENDS ", python3-numpy")
+  string(APPEND CPACK_DEBIAN_PACKAGE_DEPENDS ", python3, python3-numpy")
 endif()
 set(CPACK_DEBIAN_PACKAGE_SUGGESTS "cmake, pkg-config, bash-completion")
 

@@ -2,7 +2,10 @@
 
 #include <sys/stat.h>
 
+#include <algorithm>
 #include <cmath>
+#include <map>
+#include <sstream>
 
 #include "testing_command.h"
 
@@ -69,17 +72,93 @@ TEST_F(ReportCommand, HoldsTheRun) {
   EXPECT_NEAR(std::sqrt(squares / static_cast<double>(poses)), ate, 1e-5 * ate);
 }
 
-// Sums over the rows are invariant under the rotation into the world frame.
+// R S R', R of the quaternion in trajectory.tum.
 TEST_F(ReportCommand, TurnsCovariancesIntoTheWorld) {
   Succeed("report fpfl --output page.html");
   const json covariances = DataOf("page.html").at("runs").at(0).at("covariances");
   const auto rows = CsvRows(Read("fpfl/covariances.csv"));
   ASSERT_EQ(rows.size(), covariances.at("position").size());
-  for (std::size_t k = 0; k < rows.size(); ++k) {
-    const json& c = covariances.at("position").at(k);
-    const double trace = std::stod(rows[k][1]) + std::stod(rows[k][8]) + std::stod(rows[k][15]);
-    EXPECT_NEAR(c.at(0).get<double>() + c.at(3).get<double>() + c.at(5).get<double>(), trace, 1e-6 * trace);
+  std::map<long, std::vector<double>> quaternions;
+  std::istringstream poses(Read("fpfl/trajectory.tum"));
+  for (std::string line; std::getline(poses, line);) {
+    if (line.empty() || line[0] == '#') continue;
+    std::istringstream numbers(line);
+    double stamp = 0, x = 0, y = 0, z = 0;
+    std::vector<double> q(4);
+    numbers >> stamp >> x >> y >> z >> q[0] >> q[1] >> q[2] >> q[3];
+    quaternions[static_cast<long>(stamp)] = q;
   }
+  for (std::size_t k = 0; k < rows.size(); ++k) {
+    const std::vector<double>& q = quaternions.at(std::stol(rows[k][0]));
+    const double x = q[0], y = q[1], z = q[2], w = q[3];
+    const double R[3][3] = {{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
+                            {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
+                            {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}};
+    std::vector<double> expected;
+    for (int i = 0; i < 3; ++i) {
+      for (int j = i; j < 3; ++j) {
+        double sum = 0;
+        for (int a = 0; a < 3; ++a) {
+          for (int b = 0; b < 3; ++b)
+            sum += R[i][a] * std::stod(rows[k][static_cast<std::size_t>(1 + 6 * a + b)]) * R[j][b];
+        }
+        expected.push_back(sum);
+      }
+    }
+    const double scale = expected[0] + expected[3] + expected[5];
+    for (std::size_t e = 0; e < 6; ++e) {
+      EXPECT_NEAR(covariances.at("position").at(k).at(e).get<double>(), expected[e], 1e-6 * scale) << k << ' ' << e;
+    }
+  }
+}
+
+// Files of two runs in one folder.
+TEST_F(ReportCommand, RefusesAMixture) {
+  Succeed("compact laps.g2o --strategy apal --output apal --quiet");
+  const std::string stats = Read("fpfl/stats.json"), decisions = Read("fpfl/decisions.jsonl");
+  Write("fpfl/stats.json", Read("apal/stats.json"));
+  ExpectFailure("report fpfl", 1, "fpfl/stats.json: poses_kept is ");
+  Write("fpfl/stats.json", stats);
+  const std::size_t first = decisions.find('\n') + 1, second = decisions.find('\n', first) + 1;
+  Write("fpfl/decisions.jsonl",
+        decisions.substr(first, second - first) + decisions.substr(0, first) + decisions.substr(second));
+  ExpectFailure("report fpfl", 1, "fpfl/decisions.jsonl: row 1 is of another pose");
+  Write("fpfl/decisions.jsonl", decisions);
+  Succeed("report fpfl");
+}
+
+TEST_F(ReportCommand, TellsRunsOfTheSameNameApart) {
+  std::filesystem::create_directories(folder_ / "other");
+  std::filesystem::copy(folder_ / "fpfl", folder_ / "other/fpfl");
+  Succeed("report fpfl other/fpfl --output page.html");
+  const json runs = DataOf("page.html").at("runs");
+  EXPECT_NE(runs.at(0).at("name"), runs.at(1).at("name"));
+  EXPECT_EQ(runs.at(1).at("name"), "other/fpfl");
+}
+
+// Nothing to scale by, a plane, ids that no trajectory can hold.
+TEST_F(ReportCommand, SmallAndOddRuns) {
+  Write("one.g2o", "VERTEX_SE2 5 1 2 0.5\n");
+  Succeed("compact one.g2o --strategy apal --output one --quiet");
+  Succeed("plot one");
+  EXPECT_NE(Read("one/trajectory.svg").find(" m</text>"), std::string::npos);
+  EXPECT_EQ(Read("one/trajectory.svg").find("e+"), std::string::npos);
+  std::string line;  // along x: the plane is still that of x and y
+  for (int k = 0; k < 20; ++k) {
+    line += "EDGE_SE2 " + std::to_string(k) + ' ' + std::to_string(k + 1) + " 1 0 0 100 0 0 1 0 100\n";
+  }
+  Write("line.g2o", line);
+  Succeed("compact line.g2o --strategy apal --output line --quiet");
+  Succeed("plot line --what trajectory");
+  const std::string map = Read("line/trajectory.svg");
+  double widest = 0;
+  for (std::size_t at = 0; (at = map.find(" ry=\"", at)) != std::string::npos; ++at) {
+    widest = std::max(widest, std::stod(map.substr(at + 5)));
+  }
+  EXPECT_GT(widest, 5) << "the uncertainty across";
+  Write("huge.g2o", "EDGE_SE2 6989586621679009792 6989586621679009793 1 0 0 100 0 0 1 0 100\n");
+  ExpectFailure("compact huge.g2o --output huge", 1, "ids beyond 2^53");
+  EXPECT_EQ(Run("compact huge.g2o --output huge -v").err.find("kept"), std::string::npos) << "before the run";
 }
 
 TEST_F(ReportCommand, ComparesTwoRuns) {

@@ -152,6 +152,8 @@ void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const Compa
   std::vector<PoseId> seen;
   for (const auto& pose : before.map.poses) seen.push_back(pose.id);
   GraphReplay<Pose> replay = seen.empty() ? GraphReplay<Pose>(graph) : GraphReplay<Pose>(graph, seen);
+  // Before the long run, not after it: the trajectory has ids for stamps.
+  for (const auto& input : replay.Inputs()) RequireStampId(input.id);
   const auto truth = ReadTruthOfAll(before.map, replay, options.ground_truth);
   const TruePoses* known = truth ? &*truth : nullptr;
   nlohmann::ordered_json sample;
@@ -182,8 +184,8 @@ void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const Compa
   stats.seconds_covariance = WriteRun(results, options.directory);
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
-  WriteReport({options.directory}, options.directory + "/report.html");
   if (!options.quiet) PrintSummary(stats, options);
+  WriteReport({options.directory}, options.directory + "/report.html");
 }
 
 // Of --continue: what is not given is as it was.

@@ -157,6 +157,9 @@ std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int d
 
 template <class Pose>
 double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
+  // The last file of a run; an old one must not stand for what is half written.
+  std::error_code ignored;
+  std::filesystem::remove(folder + "/stats.json", ignored);
   const CompactOptions<Pose>& options = run.slam.Options();
   WriteThresholds(options, folder + "/thresholds.json");
   const PoseGraph<Pose>& kept = run.slam.Solver().Graph();

@@ -45,15 +45,20 @@ class View {
  public:
   explicit View(const std::vector<RunFolder>& runs) : panels_(static_cast<double>(runs.size())) {
     Include(runs.front().T_world_body);
-    const std::array<double, 3> extent{high_[0] - low_[0], high_[1] - low_[1], high_[2] - low_[2]};
-    const auto least = static_cast<int>(std::min_element(extent.begin(), extent.end()) - extent.begin());
+    // The plane itself in 2D; without z where that decides nothing.
+    int least = 2;
+    for (int k = 1; k >= 0 && runs.front().dimension == 3; --k) {
+      if (Width(k) < Width(least)) least = k;
+    }
     axes_ = {least == 0 ? 1 : 0, least == 2 ? 1 : 2};
     for (const RunFolder& run : runs) {
       Include(run.T_world_body);
       if (run.T_world_body_true) Include(*run.T_world_body_true);
     }
     width_ = (kWidth - 2 * kMargin - (panels_ - 1) * kGap) / panels_;
-    const double across = std::max(Extent(0), 1e-9), up = std::max(Extent(1), 1e-9);
+    // A metre where all poses are in one place.
+    const double least_extent = std::max(Extent(0), Extent(1)) > 1e-6 ? 1e-9 : 1;
+    const double across = std::max(Extent(0), least_extent), up = std::max(Extent(1), least_extent);
     scale_ = std::min((width_ - 16) / across, kMostHeight / up);
     height_ = std::max(scale_ * up + 16, 60.0);
   }
@@ -71,6 +76,7 @@ class View {
   }
 
  private:
+  double Width(int axis) const { return high_[static_cast<size_t>(axis)] - low_[static_cast<size_t>(axis)]; }
   size_t Axis(int k) const { return static_cast<size_t>(axes_[static_cast<size_t>(k)]); }
   double Extent(int k) const { return high_[Axis(k)] - low_[Axis(k)]; }
   void Include(const std::vector<SE3>& poses) {
@@ -102,7 +108,7 @@ struct GainRange {
     std::sort(gains.begin(), gains.end());
     known = true;
     low = gains.front();
-    high = gains[(gains.size() - 1) * 98 / 100];
+    high = gains[std::min(gains.size() - 1, gains.size() * 98 / 100)];
   }
   double Share(double gain) const { return high > low ? (gain - low) / (high - low) : 0.5; }
 };

@@ -6,7 +6,6 @@
 #include <iostream>
 
 #include "commands.h"
-#include "compact_output.h"
 #include "map_picture.h"
 #include "run_charts.h"
 #include "svg_chart.h"
@@ -46,10 +45,11 @@ void WritePng(const std::string& svg, const std::string& png, int width) {
 }
 
 void Plot(const PlotOptions& options) {
-  std::vector<RunFolder> runs;
-  for (const std::string& folder : options.folders) runs.push_back(ReadRunFolder(folder));
+  const std::vector<RunFolder> runs = ReadRunFolders(options.folders);
   const std::string folder = options.output.empty() ? options.folders.front() : options.output;
-  RequireFolder(folder);
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (!std::filesystem::is_directory(folder)) throw FileError(folder, 0, "cannot make this folder: " + error.message());
   for (const std::string& what : options.what) {
     const std::string stem = folder + "/" + what, svg = stem + ".svg";
     // A picture that is asked for as PNG alone leaves no other.
@@ -74,15 +74,18 @@ void Plot(const PlotOptions& options) {
 
 void AddPlotCommand(CLI::App& app) {
   auto options = std::make_shared<PlotOptions>();
-  CLI::App* command = app.add_subcommand("plot", "Pictures of a run, or of several, for papers: map, gains, timings");
-  command->add_option("DIR", options->folders, "Folders of runs (compact, kitti, table)")->required()->expected(1, 6);
-  command->add_option("--what", options->what, "Which pictures")
+  CLI::App* command = app.add_subcommand("plot", "Pictures of a run, or of two, for papers: map, gains, timings");
+  command->add_option("DIR", options->folders, "The folder of a run (compact, kitti, table); a second to compare with")
+      ->required()
+      ->expected(1, 2)
+      ->option_text("DIR [DIR]");
+  command->add_option("--what", options->what, "Which pictures; by default all three")
       ->delimiter(',')
       ->check(CLI::IsMember({"trajectory", "gains", "timings"}).description(""))
       ->type_name("trajectory,gains,timings")
       ->default_str("");
   command->add_option("--output", options->output, "Folder for the pictures; by default the first DIR")
-      ->type_name("FOLDER");
+      ->type_name("DIR");
   AddChoice(*command, "--format", options->format,
             {{"svg", PictureFormat::kSvg}, {"png", PictureFormat::kPng}, {"both", PictureFormat::kBoth}},
             "PNG needs rsvg-convert (librsvg2-bin)");

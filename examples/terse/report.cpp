@@ -139,6 +139,12 @@ void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factor
       << Shortest(r.paper_update_flops) << ',' << Shortest(r.paper_solve_flops) << ',' << Shortest(r.seconds) << '\n';
 }
 
+void RequireStampId(PoseId id) {
+  if (std::abs(id.value) <= (std::int64_t{1} << 53)) return;
+  throw std::invalid_argument("pose " + std::to_string(id.value) +
+                              ": ids beyond 2^53 do not fit into the stamps of a trajectory");
+}
+
 template <class Pose>
 Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body) {
   std::vector<std::size_t> order(ids.size());
@@ -146,11 +152,7 @@ Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return ids[a] < ids[b]; });
   Trajectory trajectory;
   for (const std::size_t k : order) {
-    // Beyond 2^53 neighbouring ids would become the same stamp.
-    if (std::abs(ids[k].value) > (std::int64_t{1} << 53)) {
-      throw std::invalid_argument("pose " + std::to_string(ids[k].value) +
-                                  ": ids beyond 2^53 do not fit into the stamps of a trajectory");
-    }
+    RequireStampId(ids[k]);
     trajectory.stamps.push_back(static_cast<double>(ids[k].value));
     if constexpr (Pose::kDim == 2) {
       trajectory.T_world_body.push_back(Lift(T_world_body[k]));

@@ -49,6 +49,8 @@ void RequireWritable(const std::string& path);
 // A clock for one phase.
 double SecondsNow();
 
+// Throws std::invalid_argument for an id beyond 2^53, where neighbouring ids would become the same stamp.
+void RequireStampId(PoseId id);
 // Poses by ascending id, ids for stamps.
 template <class Pose>
 Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body);

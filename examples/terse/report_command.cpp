@@ -41,8 +41,8 @@ void Report(const ReportOptions& options) {
     output = options.folders.front() + (options.folders.size() == 1 ? "/report.html" : "/comparison.html");
   }
   WriteReport(options.folders, output);
-  output = std::filesystem::canonical(output).string();
-  if (!options.quiet) {
+  output = std::filesystem::absolute(output).lexically_normal().string();
+  if (!options.quiet && std::filesystem::is_regular_file(output)) {
     std::cout << "report: " << output << '\n';
     FlushOutput();
   }
@@ -56,7 +56,8 @@ void AddReportCommand(CLI::App& app) {
   CLI::App* command = app.add_subcommand("report", "A run as one HTML page: map, decisions, plots; two side by side");
   command->add_option("DIR", options->folders, "The folder of a run (compact, kitti, table); a second to compare with")
       ->required()
-      ->expected(1, 2);
+      ->expected(1, 2)
+      ->option_text("DIR [DIR]");
   command->add_option("--output", options->output, "The page; by default report.html (of two, comparison.html) in DIR")
       ->type_name("FILE");
   command->add_flag("--open", options->open, "Show it in the browser");

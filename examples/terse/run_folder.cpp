@@ -1,5 +1,6 @@
 #include "run_folder.h"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <filesystem>
@@ -89,13 +90,16 @@ class Reader {
     const size_t count = trajectory.stamps.size();
     RequireCount(path, count, run_.ids.size());
     std::vector<SE3> out(count);
+    size_t ids = 0;
     for (size_t k = 0; k < count; ++k) {
       const auto found = index_.find(static_cast<std::int64_t>(trajectory.stamps[k]));
-      if (found == index_.end() || trajectory.stamps[k] != std::floor(trajectory.stamps[k]))
-        return trajectory.T_world_body;
+      if (found == index_.end() || trajectory.stamps[k] != std::floor(trajectory.stamps[k])) continue;
       out[static_cast<size_t>(found->second)] = trajectory.T_world_body[k];
+      ++ids;
     }
-    return out;
+    if (ids == count) return out;
+    if (is_stereo_) return trajectory.T_world_body;
+    throw FileError(path, 0, "its stamps are not the ids in graph.json; the files of one run belong together");
   }
 
   void ReadDecisions(const std::string& path) {
@@ -105,8 +109,16 @@ class Reader {
     for (std::string line; std::getline(lines, line);) {
       WithJsonErrors(path, ++number, [&] {
         nlohmann::json decision = nlohmann::json::parse(line);
+        // What the report and the pictures take from it.
+        decision.at("pose").get<std::int64_t>();
+        decision.at("verdict").get<std::string>();
+        for (const char* count : {"registrations_tried", "links_accepted", "links_refused"})
+          decision.at(count).get<int>();
+        decision.at("pose_gain_nats");
         for (const auto& candidate : decision.at("candidates")) {
           IndexOf(candidate.at("id"), path);
+          candidate.at("accepted").get<bool>();
+          for (const char* number : {"probability", "gain_nats", "measured_gain_nats"}) candidate.at(number);
           if (!candidate.at("factor").is_number()) continue;
           innovations_[candidate.at("factor").get<long>()] = Optional(candidate.at("innovation"));
         }
@@ -125,7 +137,10 @@ class Reader {
                      {"links_refused", 0},
                      {"candidates", nlohmann::json::array()}});
     }
-    for (auto& decision : run_.decisions) all.push_back(std::move(decision));
+    for (auto& decision : run_.decisions) {
+      RequirePose(path, static_cast<double>(decision.at("pose").get<std::int64_t>()), all.size());
+      all.push_back(std::move(decision));
+    }
     run_.decisions = std::move(all);
   }
 
@@ -156,14 +171,41 @@ class Reader {
       run_.steps[names[column]].assign(before, kNone);
       for (const std::vector<double>& row : rows) run_.steps[names[column]].push_back(row[column]);
     }
+    const auto poses = run_.steps.find("pose");
+    if (poses == run_.steps.end()) throw FileError(path, 0, "expected a column named pose");
+    for (size_t k = before; k < poses->second.size(); ++k) RequirePose(path, poses->second[k], k);
+  }
+
+  // What stats.json says of the map, where it says it.
+  void CheckStats(const std::string& path) const {
+    const auto check = [&](const char* key, size_t count) {
+      const auto found = run_.stats.find(key);
+      if (found == run_.stats.end() || (found->is_number() && found->get<double>() == static_cast<double>(count)))
+        return;
+      throw FileError(path, 0,
+                      std::string(key) + " is " + found->dump() + ", but graph.json beside it has " +
+                          std::to_string(count) + "; the files of one run belong together");
+    };
+    check("poses_kept", static_cast<size_t>(std::count(run_.kept.begin(), run_.kept.end(), 1)));
+    check("links_kept", run_.links.size());
   }
 
  private:
+  void RequirePose(const std::string& path, double id, size_t k) const {
+    if (id == static_cast<double>(run_.ids[k])) return;
+    throw FileError(path, 0,
+                    "row " + std::to_string(k + 1) +
+                        " is of another pose than in graph.json; the files of one run "
+                        "belong together");
+  }
+
   // Of a run that continued one whose own decisions or steps were not there: the poses that these rows are not about.
   size_t PosesBefore(size_t rows) const {
     const auto continued = run_.stats.find("continued");
     if (rows >= run_.ids.size() || continued == run_.stats.end()) return 0;
-    return std::min(continued->at("poses").get<size_t>(), run_.ids.size());
+    const auto poses = continued->find("poses");
+    if (poses == continued->end() || !poses->is_number_unsigned()) return 0;
+    return std::min(poses->get<size_t>(), run_.ids.size());
   }
 
   int IndexOf(const nlohmann::json& id, const std::string& path) const {
@@ -201,6 +243,7 @@ class Reader {
   }
 
   RunFolder& run_;
+  const bool is_stereo_ = run_.stats.contains("frames");  // stamps are seconds then, and rows in order of arrival
   std::unordered_map<std::int64_t, int> index_;
   std::unordered_map<long, std::optional<double>> innovations_;  // by factor
 };
@@ -223,6 +266,7 @@ RunFolder ReadRunFolder(const std::string& path) {
   run.T_world_body = reader.ReadPosesFrom(path + "/trajectory.tum");
   reader.ReadDecisions(path + "/decisions.jsonl");
   WithJsonErrors(graph_path, 0, [&] { reader.ReadEdges(graph); });
+  reader.CheckStats(path + "/stats.json");
   reader.ReadSteps(path + "/steps.csv");
   reader.ReadCovariances(path + "/covariances.csv");
   // The file may be left from an earlier run into the same folder.
@@ -233,6 +277,18 @@ RunFolder ReadRunFolder(const std::string& path) {
     run.T_world_body_true = std::move(truth);
   }
   return run;
+}
+
+std::vector<RunFolder> ReadRunFolders(const std::vector<std::string>& paths) {
+  std::vector<RunFolder> runs;
+  for (const std::string& path : paths) runs.push_back(ReadRunFolder(path));
+  if (runs.size() < 2 || runs[0].name != runs[1].name) return runs;
+  for (RunFolder& run : runs) {  // ellipse/fpfl and sphere/fpfl, or the same one twice
+    const std::string parent = std::filesystem::canonical(run.path).parent_path().filename().string();
+    run.name = parent + '/' + run.name;
+  }
+  if (runs[0].name == runs[1].name) runs[1].name += " (2)";
+  return runs;
 }
 
 }  // namespace terse

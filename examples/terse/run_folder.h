@@ -48,5 +48,7 @@ struct RunFolder {
 
 // Throws FileError if a file is missing, defective, or of another run than graph.json.
 RunFolder ReadRunFolder(const std::string& path);
+// One or two, to compare: their names differ.
+std::vector<RunFolder> ReadRunFolders(const std::vector<std::string>& paths);
 
 }  // namespace terse

@@ -185,9 +185,7 @@ void WriteReport(const std::vector<RunFolder>& runs, const std::string& path) {
 }
 
 void WriteReport(const std::vector<std::string>& folders, const std::string& path) {
-  std::vector<RunFolder> runs;
-  for (const std::string& folder : folders) runs.push_back(ReadRunFolder(folder));
-  WriteReport(runs, path);
+  WriteReport(ReadRunFolders(folders), path);
 }
 
 }  // namespace terse

@@ -127,7 +127,7 @@ void AddCompactTable(CLI::App& table) {
       ->add_option("--output", options->output,
                    "Folder for the figures (CSV, SVG), made if it is missing; the files of each run, as compact writes "
                    "them, in GRAPH/STRATEGY in it")
-      ->type_name("FOLDER");
+      ->type_name("DIR");
   AddSampleOption(*command, options->table.sample);
   AddSeedOption(*command, options->table.seed, "Of the first random run");
   command->add_option("--random-runs", options->table.random_runs, "How many of RFPFL the errors are the mean of")
