@@ -9,14 +9,14 @@ packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev lib
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
 package_packages = dpkg-dev file gzip
 docs_packages = doxygen libjs-katex
-python_packages = pybind11-dev python3-dev python3-numpy
+python_packages = pybind11-dev python3-dev python3-numpy python3-matplotlib
 plot_packages = librsvg2-bin
 bench_packages = libbenchmark-dev libceres-dev
 # Where node comes from elsewhere, Debian's npm would conflict with it.
 node_packages = $(if $(shell command -v npm),,nodejs npm)
 browser_packages = $(if $(shell command -v chromium || command -v chromium-browser || command -v google-chrome),,chromium)
 test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_packages) $(node_packages) $(browser_packages) \
-  python3-matplotlib python3-pytest mypy man-db bash-completion pkg-config
+  python3-pytest mypy man-db bash-completion pkg-config
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
 .PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
@@ -87,7 +87,7 @@ report-page: ## bundle examples/report/src into examples/report/report.html, whi
 
 readme-picture: demo ## draw the README's picture from what the demonstration leaves behind
 	@build/bin/terse plot demo_output/apal demo_output/fpfl --what trajectory --output build/pictures --quiet
-	@cp build/pictures/trajectory.svg docs/images/demo.svg
+	@cp build/pictures/comparison_trajectory.svg docs/images/demo.svg
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'

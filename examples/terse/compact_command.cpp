@@ -152,6 +152,10 @@ void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const Compa
   std::vector<PoseId> seen;
   for (const auto& pose : before.map.poses) seen.push_back(pose.id);
   GraphReplay<Pose> replay = seen.empty() ? GraphReplay<Pose>(graph) : GraphReplay<Pose>(graph, seen);
+  if (!seen.empty() && replay.Inputs().empty() && !options.quiet) {
+    std::cerr << "terse: warning: all poses of " << options.path << " are in " << options.continued
+              << " already: the map stays as it is\n";
+  }
   // Before the long run, not after it: the trajectory has ids for stamps.
   for (const auto& input : replay.Inputs()) RequireStampId(input.id);
   const auto truth = ReadTruthOfAll(before.map, replay, options.ground_truth);

@@ -16,7 +16,7 @@ namespace {
 using std::size_t;
 
 constexpr double kWidth = 900, kMargin = 24, kGap = 44, kHead = 62, kFoot = 64, kMostHeight = 640;
-constexpr const char *kTruth = "#8b949e", *kEstimate = "#2f81f7", *kText = "#768390";
+constexpr const char *kTruth = "#8b949e", *kEstimate = "#2f81f7", *kText = "#768390", *kUnmeasured = "#a371f7";
 constexpr double kDegrees = 180 / 3.14159265358979323846;
 constexpr int kEllipses = 24;
 constexpr double kChi95 = 2.4477;  // root of the 95 % quantile of chi2 with two degrees of freedom
@@ -195,7 +195,7 @@ class MapPicture {
       const double bend = length > 0 ? std::min(0.5, 9 / length) : 0;
       out_ << "<path d=\"M" << a[0] << ',' << a[1] << 'Q' << (a[0] + b[0]) / 2 + bend * (a[1] - b[1]) << ','
            << (a[1] + b[1]) / 2 + bend * (b[0] - a[0]) << ' ' << b[0] << ',' << b[1] << "\" stroke=\""
-           << (link.gain ? GainColour(gains_.Share(*link.gain)) : std::string(kText)) << "\"/>\n";
+           << (link.gain ? GainColour(gains_.Share(*link.gain)) : std::string(kUnmeasured)) << "\"/>\n";
     }
     out_ << "</g>\n";
   }
@@ -244,6 +244,10 @@ class MapPicture {
     entry(std::string("<circle cx=\"8\" cy=\"-4\" r=\"3.2\" fill=\"") + kEstimate + "\"/>", "kept pose");
     const bool truth = std::any_of(runs_.begin(), runs_.end(), [](const auto& r) { return bool{r.T_world_body_true}; });
     if (truth) entry(line(kTruth), "ground truth");
+    const bool unmeasured = std::any_of(runs_.begin(), runs_.end(), [](const RunFolder& run) {
+      return std::any_of(run.links.begin(), run.links.end(), [](const RunLink& link) { return !link.gain; });
+    });
+    if (unmeasured) entry(line(kUnmeasured), "loop, gain not measured");
     if (has_ellipses_) {
       entry(std::string("<ellipse cx=\"8\" cy=\"-4\" rx=\"8\" ry=\"4.5\" fill-opacity=\"0.14\" fill=\"") + kEstimate +
                 "\" stroke=\"" + kEstimate + "\" stroke-width=\"0.8\"/>",

@@ -51,7 +51,7 @@ void Plot(const PlotOptions& options) {
   std::filesystem::create_directories(folder, error);
   if (!std::filesystem::is_directory(folder)) throw FileError(folder, 0, "cannot make this folder: " + error.message());
   for (const std::string& what : options.what) {
-    const std::string stem = folder + "/" + what, svg = stem + ".svg";
+    const std::string stem = folder + (runs.size() > 1 ? "/comparison_" : "/") + what, svg = stem + ".svg";
     // A picture that is asked for as PNG alone leaves no other.
     const bool keep = options.format != PictureFormat::kPng;
     const std::string drawn = keep ? svg : stem + ".tmp.svg";
@@ -65,7 +65,9 @@ void Plot(const PlotOptions& options) {
       }
       if (!keep) std::filesystem::remove(drawn);
     }
-    if (!options.quiet) std::cout << (keep ? svg : stem + ".png") << '\n';
+    if (options.quiet) continue;
+    if (keep) std::cout << svg << '\n';
+    if (options.format != PictureFormat::kSvg) std::cout << stem << ".png\n";
   }
   FlushOutput();
 }

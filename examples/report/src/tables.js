@@ -108,7 +108,6 @@ export function showTables(node, runs) {
   for (const td of node.querySelectorAll('td[data-value]')) td.title = td.dataset.value;
 }
 
-const lastNumber = (list) => (list ?? []).filter(isNumber).pop();
 
 function median(list) {
   const sorted = (list ?? []).filter(isNumber).sort((a, b) => a - b);
@@ -122,7 +121,7 @@ export function showFigures(node, runs) {
     ['Links kept', (run) => [integer(run.linksBy[run.n - 1] ?? 0), isNumber(run.stats.links_offered) ? `of ${integer(run.stats.links_offered)}` : 'beside the odometry']],
     ['Registrations', (run) => [isNumber(run.stats.registrations_tried) ? integer(run.stats.registrations_tried) : isNumber(run.stats.compared) ? integer(run.stats.compared) : '–', 'tried']],
     ['Error (ATE)', (run) => {
-      const ate = run.stats.errors?.ate_m ?? lastNumber(run.steps.ate_m);
+      const ate = run.stats.errors?.ate_m;
       return isNumber(ate) ? [`${number(ate, 3)} m`, 'RMS'] : ['–', run.truth ? 'not recorded' : 'no ground truth'];
     }],
     ['χ² per scalar', (run) => [number(run.stats.normalized_chi2, 3), run.stats.converged === false ? 'not converged' : run.stats.converged ? 'converged' : '']],
