@@ -136,6 +136,7 @@ class MapPicture {
     }
     Legend(height - 18);
     ScaleBar(height - 44);
+    GainLegend(height - 44);
     out_ << "</svg>\n";
     return out_.str();
   }
@@ -253,7 +254,6 @@ class MapPicture {
                 "\" stroke=\"" + kEstimate + "\" stroke-width=\"0.8\"/>",
             "95 %");
     }
-    GainLegend(y);
   }
 
   void GainLegend(double y) {
