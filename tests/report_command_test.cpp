@@ -125,6 +125,8 @@ TEST_F(ReportCommand, RefusesAMixture) {
   ExpectFailure("report fpfl", 1, "fpfl/decisions.jsonl: row 1 is of another pose");
   Write("fpfl/decisions.jsonl", decisions);
   Succeed("report fpfl");
+  Succeed("compact laps.g2o --output fpfl --quiet");  // without the truth this time
+  EXPECT_FALSE(Exists("fpfl/ground_truth.tum"));
 }
 
 TEST_F(ReportCommand, TellsRunsOfTheSameNameApart) {

@@ -157,9 +157,12 @@ std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int d
 
 template <class Pose>
 double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
-  // The last file of a run; an old one must not stand for what is half written.
-  std::error_code ignored;
-  std::filesystem::remove(folder + "/stats.json", ignored);
+  // Of an earlier run into the same folder: stats.json, the last file of a run, must not stand for what is half
+  // written, nor its true poses for those of this one.
+  for (const char* name : {"/stats.json", "/ground_truth.tum"}) {
+    std::error_code ignored;
+    std::filesystem::remove(folder + name, ignored);
+  }
   const CompactOptions<Pose>& options = run.slam.Options();
   WriteThresholds(options, folder + "/thresholds.json");
   const PoseGraph<Pose>& kept = run.slam.Solver().Graph();
