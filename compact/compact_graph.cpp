@@ -21,13 +21,13 @@ double CompactRun<Pose>::Seconds() const {
 }
 
 template <class Pose>
-CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, GraphReplay<Pose>& replay, const AfterStep<Pose>& after_step) {
+CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay,
+                            const AfterStep<Pose>& after_step) {
   using Clock = std::chrono::steady_clock;
   CompactRun<Pose> run{std::move(slam), {}, {}, replay.LinksOffered(), 0, 0, {}};
-  const Registration<Pose> registration = replay.AsRegistration();
   for (const auto& input : replay.Inputs()) {
     const Clock::time_point before = Clock::now();
-    run.decisions.push_back(run.slam.AddPose(input, registration));
+    run.decisions.push_back(run.slam.AddPose(input));
     run.step_seconds.push_back(std::chrono::duration<double>(Clock::now() - before).count());
     const Decision& decision = run.decisions.back();
     run.links_refused += decision.links_refused;
@@ -71,11 +71,11 @@ Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<P
   return chosen;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                  \
-  template struct CompactRun<Pose>;                                                                              \
-  template CompactRun<Pose> RunCompact<Pose>(CompactPoseSlam<Pose>, GraphReplay<Pose>&, const AfterStep<Pose>&); \
-  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&);             \
-  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, Strategy);                                \
+#define TERSE_INSTANTIATE(Pose)                                                                                        \
+  template struct CompactRun<Pose>;                                                                                    \
+  template CompactRun<Pose> RunCompact<Pose>(CompactPoseSlam<Pose>, const GraphReplay<Pose>&, const AfterStep<Pose>&); \
+  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&);                   \
+  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, Strategy);                                      \
   template Thresholds<Pose> SampleThresholds<Pose>(const PoseGraph<Pose>&, CompactOptions<Pose>&, SampleOptions);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

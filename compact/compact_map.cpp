@@ -71,6 +71,11 @@ class Inspection {
       if (at_.count(link.seen.value) == 0) Fail("seen", Text(link.seen) + " is none of the poses");
       CheckChain(link.T_candidate_seen, "T_candidate_seen", "covariance");
     }
+    for (size_t k = 0; k < map_.failed.size() && defect_.empty(); ++k) {
+      where_ = "failed[" + std::to_string(k) + "].";
+      ExpectKept(map_.failed[k].candidate, "candidate");
+      if (at_.count(map_.failed[k].seen.value) == 0) Fail("seen", Text(map_.failed[k].seen) + " is none of the poses");
+    }
     return defect_;
   }
 
@@ -193,6 +198,7 @@ CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery recovery) const {
   for (const Refused& refused : refused_) {
     map.refused.push_back({refused.candidate, refused.seen, refused.T_candidate_seen});
   }
+  for (const Failed& failed : failed_) map.failed.push_back({failed.candidate, failed.seen});
   return map;
 }
 
@@ -228,7 +234,12 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   const StepReport report = slam.solver_->Update(update);
   for (size_t k = 0; k < order.size(); ++k) {
     const auto* edge = order[k].second;
-    if (edge == nullptr || !edge->is_loop) continue;
+    if (edge == nullptr) continue;
+    if (!edge->is_loop) {
+      const int ends[] = {slam.index_.at(edge->measured.from.value), slam.index_.at(edge->measured.to.value)};
+      slam.history_[At(std::max(ends[0], ends[1]))].odometry = report.factor_ids[k];
+      continue;
+    }
     slam.links_.push_back({report.factor_ids[k], edge->added_at, edge->gain});
   }
   // Not from the solver's estimates: with its gate closed it has placed all poses one after the other, as new ones.
@@ -264,6 +275,7 @@ void CompactPoseSlam<Pose>::TakeHistory(const CompactMap<Pose>& map) {
   for (const auto& refused : map.refused) {
     refused_.push_back({refused.candidate, refused.seen, refused.T_candidate_seen});
   }
+  for (const auto& failed : map.failed) failed_.push_back({failed.candidate, failed.seen});
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                        \

@@ -10,8 +10,9 @@
 namespace terse {
 namespace {
 
-// A link that is supported finds its support among the last ones: they come from poses close behind each other.
-constexpr std::size_t kMostRefused = 16;
+// A link that is supported finds its support among the last ones: they come from poses close behind each other, of
+// which each may have had several.
+constexpr std::size_t kMostRefused = 64;
 // A prediction that knows much less than the link measures agrees with anything: nats per degree of freedom.
 constexpr double kMostVagueness = 1;
 

@@ -34,22 +34,18 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   }
   if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
     throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
+  if (!(o.plausible_quantile > 0 && o.plausible_quantile < 1))
+    throw std::invalid_argument("compact options: the quantile of plausible displacements must be in (0, 1)");
+  if (o.max_registrations < 1)
+    throw std::invalid_argument("compact options: at least one registration per pose is needed");
+  if (!(o.failed_neighbourhood >= 0))
+    throw std::invalid_argument("compact options: the neighbourhood of failed registrations must not be negative");
+  if (o.most_recorded < 0) throw std::invalid_argument("compact options: no less than 0 candidates can be recorded");
   if (o.consensus < 2) throw std::invalid_argument("compact options: a consensus takes at least two links");
   if (!(o.distance.view_axis.norm() > 0) || !o.distance.view_axis.allFinite()) {
     throw std::invalid_argument("compact options: the view axis is zero or not finite");
   }
 }
-
-template <class Pose>
-RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to,
-                                     CompositionOrder order) {
-  const typename Pose::Jacobian covariance =
-      order == CompositionOrder::kFirst ? T_from_to.covariance : RetractCovariance(T_from_to);
-  const typename Pose::Jacobian information = covariance.llt().solve(Pose::Jacobian::Identity());
-  return {from, to, T_from_to.T_a_b, (information + information.transpose()) / 2};
-}
-
-bool IsRefused(const Candidate& link) { return link.outlier && !link.supported; }
 
 template <class Pose>
 IncrementalOptions SolverOptions(const CompactOptions<Pose>& options) {
@@ -59,6 +55,15 @@ IncrementalOptions SolverOptions(const CompactOptions<Pose>& options) {
 }
 
 }  // namespace
+
+template <class Pose>
+RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to,
+                                     CompositionOrder order) {
+  const typename Pose::Jacobian covariance =
+      order == CompositionOrder::kFirst ? T_from_to.covariance : RetractCovariance(T_from_to);
+  const typename Pose::Jacobian information = covariance.llt().solve(Pose::Jacobian::Identity());
+  return {from, to, T_from_to.T_a_b, (information + information.transpose()) / 2};
+}
 
 template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
@@ -72,6 +77,7 @@ template <class Pose>
 void CompactPoseSlam<Pose>::TakeOptions(const CompactOptions<Pose>& options) {
   CheckOptions(options);
   options_ = options;
+  most_distance_ = ChiSquareQuantile(options.plausible_quantile, Displacement<Pose>::kSize);
   most_innovation_ = options.innovation_quantile ? ChiSquareQuantile(*options.innovation_quantile, Pose::kDof)
                                                  : std::numeric_limits<double>::infinity();
   searches_ = options.strategy == Strategy::kApfl || options.strategy == Strategy::kFpfl;
@@ -110,6 +116,15 @@ void CompactPoseSlam<Pose>::CheckPose(const CompactInput<Pose>& input) const {
     const std::string defect = FindDefect<Pose>(prior);
     if (!defect.empty()) throw std::invalid_argument(defect);
   }
+  if (input.loops) {
+    for (const RelativePoseFactor<Pose>& loop : *input.loops) {
+      const std::string defect = FindDefect<Pose>(loop);
+      if (!defect.empty()) throw std::invalid_argument(defect);
+      if (loop.from != input.id && loop.to != input.id)
+        throw std::invalid_argument("a loop of " + name + " does not touch it");
+      Find(loop.from == input.id ? loop.to : loop.from);
+    }
+  }
   if (!input.odometry) return;
   const std::string defect = FindDefect<Pose>(*input.odometry);
   if (!defect.empty()) throw std::invalid_argument(defect);
@@ -143,34 +158,9 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
 }
 
 template <class Pose>
-std::optional<RelativePoseFactor<Pose>> CompactPoseSlam<Pose>::Register(const Registration<Pose>& registration,
-                                                                        PoseId candidate, PoseId current) const {
-  std::optional<RelativePoseFactor<Pose>> link = registration ? registration(candidate, current) : std::nullopt;
-  if (!link) return link;
-  const bool joins =
-      (link->from == candidate && link->to == current) || (link->from == current && link->to == candidate);
-  if (!joins) throw std::invalid_argument("the registration returned a link between other poses than asked for");
-  const std::string defect = FindDefect<Pose>(*link);
-  if (!defect.empty()) throw std::invalid_argument(defect);
-  return link;
-}
-
-template <class Pose>
 void CompactPoseSlam<Pose>::SetLog(LogSink log) {
   solver_->SetLog(log);
   options_.log = std::move(log);
-}
-
-template <class Pose>
-void CompactPoseSlam<Pose>::LogLink(PoseId a, PoseId b, const Candidate& record, bool good) const {
-  if (!options_.log) return;
-  const char* what = good                ? " added: gain "
-                     : IsRefused(record) ? " refused by the innovation test: gain "
-                                         : " tells too little: gain ";
-  const LogLevel level = good || IsRefused(record) ? LogLevel::kInfo : LogLevel::kDebug;
-  internal::Log(options_.log, level, "link ", a.value, " - ", b.value, what, *record.measured_gain, " nats (threshold ",
-                options_.min_loop_gain, "), innovation ", record.innovation.value_or(0), " (at most ", most_innovation_,
-                record.supported ? ", but other refused links agree)" : ")");
 }
 
 template <class Pose>
@@ -187,95 +177,6 @@ void CompactPoseSlam<Pose>::LogVerdict(const Decision& decision) const {
     internal::Log(options_.log, level, name, Name(decision.verdict), ": ", decision.candidates.size(), " candidates, ",
                   decision.registrations_tried, " tried, ", decision.links_accepted, " links, ", decision.links_refused,
                   " refused");
-  }
-}
-
-// The gain and innovation of a registered link between record.id and the pose at hand, or two poses seen before
-// (`current` absent); whether it is to be added. An outlier may be supported by other links of the pose at hand; if it
-// is not, it may support a later one.
-template <class Pose>
-bool CompactPoseSlam<Pose>::TryLink(const Current* current, const UncertainPose<Pose>& known,
-                                    const UncertainPose<Pose>& measured, Candidate& record) {
-  record.measured_gain = InformationGain<Pose::kDof>(known.covariance, measured.covariance);
-  if (options_.innovation_quantile) {
-    record.innovation = InnovationDistance(known, measured);
-    record.outlier = !(*record.innovation <= most_innovation_);
-  }
-  if (record.outlier && current != nullptr) {
-    record.supported = IsSupported(*current, record.id, measured);
-    if (!record.supported) RememberRefused(*current, record.id, measured);
-  }
-  return !IsRefused(record) && *record.measured_gain > options_.min_loop_gain;
-}
-
-// Algorithm 1, lines 6-17: best first, the rest evaluated again after every accepted link.
-template <class Pose>
-void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
-                                       const Registration<Pose>& registration) {
-  // Odometry measures this displacement already.
-  const std::optional<PoseId> linked = current.concatenated ? std::nullopt : std::optional<PoseId>(current.base);
-  std::vector<Candidate> settled;
-  while (true) {
-    auto best = candidates.end();
-    for (auto it = candidates.begin(); it != candidates.end(); ++it) {
-      if (it->record.tried || it->record.gain <= options_.min_loop_gain || it->record.id == linked) continue;
-      if (best == candidates.end() || it->record.gain > best->record.gain) best = it;
-    }
-    if (best == candidates.end()) break;
-    best->record.tried = true;
-    ++decision.registrations_tried;
-    const auto link = Register(registration, best->record.id, current.input->id);
-    if (!link) continue;
-    const bool good = TryLink(&current, best->T_pose_current, SeenFrom(best->record.id, *link), best->record);
-    LogLink(best->record.id, current.input->id, best->record, good);
-    if (IsRefused(best->record)) ++decision.links_refused;
-    if (!good) continue;
-    best->record.accepted = true;
-    ++decision.links_accepted;
-    best->record.factor = Keep(current, {*link}).back();
-    links_.back().gain = best->record.measured_gain;
-    std::vector<int> rest;
-    for (const Evaluated& e : candidates) {
-      if (e.record.tried) {
-        settled.push_back(e.record);
-      } else {
-        rest.push_back(e.pose);
-      }
-    }
-    if (!rest.empty()) UpdateSearch(solver_->Graph().IndexOf(current.base));
-    candidates = Evaluate(current, rest);
-  }
-  for (const Evaluated& e : candidates) settled.push_back(e.record);
-  decision.candidates = std::move(settled);
-}
-
-template <class Pose>
-void CompactPoseSlam<Pose>::LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration) {
-  std::vector<PoseId> offered;
-  if (current.input->linkable) {
-    offered = *current.input->linkable;
-  } else if (options_.strategy == Strategy::kApal) {
-    for (const Evaluated& e : Evaluate(current, InReach(current))) {
-      if (current.concatenated || e.record.id != current.base) offered.push_back(e.record.id);
-    }
-  }
-  std::vector<Factor<Pose>> links;
-  for (const PoseId id : offered) {
-    Candidate candidate;
-    candidate.id = id;
-    candidate.tried = true;
-    ++decision.registrations_tried;
-    if (const auto link = Register(registration, id, current.input->id)) {
-      candidate.accepted = true;
-      ++decision.links_accepted;
-      links.emplace_back(*link);
-    }
-    decision.candidates.push_back(candidate);
-  }
-  const std::vector<FactorId> ids = Keep(current, std::move(links));
-  size_t next = 0;
-  for (Candidate& candidate : decision.candidates) {
-    if (candidate.accepted) candidate.factor = ids[next++];
   }
 }
 
@@ -301,9 +202,12 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
 
 // Puts the pose into the solver if it is not there yet, with its odometry and priors, and adds the links. Their ids.
 template <class Pose>
-std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> links) {
+std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> links,
+                                                  const Revival* revival) {
   const CompactInput<Pose>& input = *current.input;
   GraphUpdate<Pose> update;
+  if (revival != nullptr) AddRevival(*revival, update);
+  const size_t revived = update.factors.size();
   if (!current.in_solver) {
     const Pose start = input.fixed ? input.T_world_body.value_or(current.T_world_body) : current.T_world_body;
     update.poses.push_back({input.id, start, input.fixed});
@@ -320,6 +224,8 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
   const StepReport report = solver_->Update(update);
   Accumulate(report, current.update);
   UpdateCovariances();
+  if (revival != nullptr) Revive(*revival, report.factor_ids);
+  if (!current.in_solver && input.odometry) current.odometry = report.factor_ids[revived];
   const std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
   for (const FactorId id : ids) links_.push_back({id, input.id, std::nullopt});
   current.in_solver = true;
@@ -336,6 +242,7 @@ void CompactPoseSlam<Pose>::Remember(const Current& current) {
   seen.id = seen.base = current.input->id;
   seen.previous = current.previous;
   seen.kept = current.in_solver;
+  seen.odometry = current.odometry;
   seen.T_world_body_when_seen = current.T_world_body;
   if (!seen.kept) {
     seen.base = current.base;
@@ -354,17 +261,14 @@ void CompactPoseSlam<Pose>::Remember(const Current& current) {
 template <class Pose>
 Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration) {
   Current current = Start(input);
+  TakeOffers(current);
   Decision decision;
   decision.id = input.id;
   try {
     if (history_.empty()) {
       Keep(current, {});
     } else if (options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl) {
-      std::vector<Evaluated> candidates = Evaluate(current, InReach(current));
-      for (const Evaluated& e : candidates) {
-        decision.pose_gain = std::min(decision.pose_gain.value_or(e.record.gain), e.record.gain);
-      }
-      CloseLoops(current, candidates, decision, registration);
+      Search(current, decision, registration);
     } else if (options_.strategy == Strategy::kApal || input.drawn) {
       LinkAll(current, decision, registration);
     }
@@ -375,8 +279,9 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
     if (current.in_solver) {
       Remember(current);
     } else {
-      const auto is_new = [&](const Refused& link) { return link.seen == input.id; };
+      const auto is_new = [&](const auto& link) { return link.seen == input.id; };
       refused_.erase(std::remove_if(refused_.begin(), refused_.end(), is_new), refused_.end());
+      failed_.erase(std::remove_if(failed_.begin(), failed_.end(), is_new), failed_.end());
     }
     throw;
   }
@@ -520,6 +425,8 @@ std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery reco
   return out;
 }
 
+template RelativePoseFactor<SE2> Measurement<SE2>(PoseId, PoseId, const UncertainPose<SE2>&, CompositionOrder);
+template RelativePoseFactor<SE3> Measurement<SE3>(PoseId, PoseId, const UncertainPose<SE3>&, CompositionOrder);
 template class CompactPoseSlam<SE2>;
 template class CompactPoseSlam<SE3>;
 

@@ -9,11 +9,42 @@ namespace terse {
 // All updates of a step as one report.
 void Accumulate(const StepReport& update, std::optional<StepReport>& sum);
 
+// As a factor of the optimiser.
+template <class Pose>
+RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to,
+                                     CompositionOrder order);
+
+// Refused for its innovation, and no others agree with it.
+inline bool IsRefused(const Candidate& link) { return link.outlier && !link.supported; }
+
+template <class Pose>
+struct CompactPoseSlam<Pose>::Revival {
+  PoseId pose, base, next;
+  UncertainPose<Pose> T_base_pose, T_pose_next;
+  FactorId replaced;  // from base to next
+};
+
+template <class Pose>
+struct CompactPoseSlam<Pose>::Offer {
+  RelativePoseFactor<Pose> measured;
+  RelativePoseFactor<Pose> link;       // between the pose at hand and the kept pose that it was carried to
+  UncertainPose<Pose> T_kept_current;  // the same
+  PoseId kept;
+  std::optional<PoseId> carried_from;
+};
+
+template <class Pose>
+struct CompactPoseSlam<Pose>::Ask {
+  int pose = -1;   // solver index
+  int offer = -1;  // in Current::offers; -1: it has to be registered
+};
+
 template <class Pose>
 struct CompactPoseSlam<Pose>::Evaluated {
-  int pose = -1;  // solver index
+  Ask ask;
   UncertainPose<Pose> T_pose_current;
   Candidate record;
+  double worth = 0;  // nats that trying it promises
 };
 
 template <class Pose>
@@ -24,6 +55,8 @@ struct CompactPoseSlam<Pose>::Current {
   UncertainPose<Pose> T_base_current;
   UncertainPose<Pose> chain;  // T_base_current as it came in, when base was still another pose
   Pose T_world_body;
+  std::vector<Offer> offers;
+  FactorId odometry;
   bool in_solver = false;
   bool concatenated = false;  // poses were dropped between base and this one
   std::optional<StepReport> update;

@@ -1,5 +1,6 @@
 // The search of Algorithm 1: which kept poses may be linked to the pose at hand, and what the links would be worth.
 
+#include <algorithm>
 #include <cmath>
 
 #include "compact_pose_slam_parts.h"
@@ -13,8 +14,24 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 }  // namespace
 
-// Makes the displacements from all kept poses to `base` ready (S, Eqs. 16-17). They hold until the factor changes; what
-// hangs on base follows by composition. O(kept poses).
+// What the map knows of T_pose_base (S, Eqs. 16-17), of solver indices.
+template <class Pose>
+UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int pose, int base) const {
+  if (pose == base) return {};
+  const auto& poses = solver_->Graph().Poses();
+  const auto& marginal = marginals_->KeptMarginals();
+  // The base is the newest pose but where odometry starts from an older one.
+  const typename Pose::Jacobian cross = base + 1 == static_cast<int>(marginal.size())
+                                            ? marginals_->KeptCross(pose)
+                                            : marginals_->Column(poses[At(base)].id, {poses[At(pose)].id}).front();
+  UncertainPose<Pose> out;
+  out.T_a_b = solver_->EstimateAt(pose).Inverse() * solver_->EstimateAt(base);
+  out.covariance = RelativeCovariance<Pose>(out.T_a_b, marginal[At(pose)], cross, marginal[At(base)]);
+  return out;
+}
+
+// Makes the displacements from all kept poses to `base` ready. They hold until the factor changes; what hangs on base
+// follows by composition. O(kept poses).
 template <class Pose>
 void CompactPoseSlam<Pose>::UpdateSearch(int base) {
   using Jacobian = typename Pose::Jacobian;
@@ -22,7 +39,6 @@ void CompactPoseSlam<Pose>::UpdateSearch(int base) {
   UpdateCovariances();
   const std::vector<Jacobian>& marginal = marginals_->KeptMarginals();
   const int poses = static_cast<int>(marginal.size());
-  // The base is the newest pose but where odometry starts from an older one.
   std::vector<Jacobian> column;
   if (base + 1 != poses) {
     std::vector<PoseId> ids;
@@ -55,18 +71,23 @@ void CompactPoseSlam<Pose>::UpdateCovariances() {
   if (searches_) marginals_->Update();
 }
 
-// Kept poses that the distance test could accept: none that it accepts is missing. Ascending.
+// Kept poses that may be candidates: none that Evaluate takes for one is missing. Ascending. `plausible`: those too
+// whose displacement is only plausibly within range.
 template <class Pose>
-std::vector<int> CompactPoseSlam<Pose>::InReach(const Current& current) {
+std::vector<typename CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(const Current& current,
+                                                                                bool plausible) {
   searches_ = true;
   UpdateSearch(solver_->Graph().IndexOf(current.base));
   const auto& range = options_.range;
   const UncertainPose<Pose>& chain = current.T_base_current;
-  const double length = chain.T_a_b.Translation().norm(), deviations = DeviationsBeyondRange(options_.probability);
+  const double length = chain.T_a_b.Translation().norm();
+  // An ellipsoid reaches so many standard deviations in every direction.
+  const double deviations =
+      std::max(DeviationsBeyondRange(options_.probability), plausible ? std::sqrt(most_distance_) : 0.0);
   const Spread own = Spread::Of<Pose>(chain.covariance);
   const double most = range.template head<Pose::kDim>().norm(), root = std::sqrt(static_cast<double>(Pose::kDim));
   const auto reach = [&](const Spread& spread) { return most + root * deviations * spread.Behind(length, own).metres; };
-  std::vector<int> out;
+  std::vector<Ask> out;
   reach_->VisitNear(current.T_world_body.Translation(), reach, [&](int i) {
     const Spread spread = reach_->Items()[At(i)].spread.Behind(length, own);
     const Pose T_pose_current = T_pose_base_[At(i)].T_a_b * chain.T_a_b;
@@ -75,37 +96,58 @@ std::vector<int> CompactPoseSlam<Pose>::InReach(const Current& current) {
                        range.template head<Pose::kDim>().array() + deviations * spread.metres)
                           .all();
     if (!near) return;
-    const double angle = AngleProbabilityBound(mean[Pose::kDim], spread.radians, range[Pose::kDim]);
-    if (angle > options_.probability) out.push_back(i);
+    const double angle = mean[Pose::kDim];
+    const bool turned = AngleProbabilityBound(angle, spread.radians, range[Pose::kDim]) <= options_.probability;
+    if (turned && !(plausible && std::abs(angle) <= range[Pose::kDim] + deviations * spread.radians)) return;
+    out.push_back({i, -1});
   });
   return out;
 }
 
-// The distance test and the gain of the given kept poses; those in range come back.
+// What is known of the given kept poses, and what trying them promises. Of those that are to be registered only the
+// candidates come back: within range with enough probability, or plausibly so if that is enough.
 template <class Pose>
-std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(
-    const Current& current, const std::vector<int>& poses) const {
+std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(const Current& current,
+                                                                                       const std::vector<Ask>& asks,
+                                                                                       bool plausible) const {
+  const int base = solver_->Graph().IndexOf(current.base);
+  const bool is_ready = searched_version_ == solver_->Factor().Version() && searched_base_ == base;
   std::vector<Evaluated> out;
-  for (const int i : poses) {
+  for (const Ask& ask : asks) {
     Evaluated e;
-    e.pose = i;
-    e.T_pose_current = Compose(T_pose_base_[At(i)], current.T_base_current);
+    e.ask = ask;
+    e.T_pose_current =
+        Compose(is_ready ? T_pose_base_[At(ask.pose)] : KnownDisplacement(ask.pose, base), current.T_base_current);
     const auto displacement = ComputeDisplacement<Pose>(e.T_pose_current, options_.distance);
-    e.record.probability = RangeProbabilities<Pose>(displacement, options_.range).minCoeff();
-    if (e.record.probability <= options_.probability) continue;
-    e.record.id = solver_->Graph().Poses()[At(i)].id;
-    e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, options_.link_covariance);
-    out.push_back(e);
+    const auto within = RangeProbabilities<Pose>(displacement, options_.range);
+    e.record.probability = within.minCoeff();
+    e.record.id = solver_->Graph().Poses()[At(ask.pose)].id;
+    if (ask.offer >= 0) {
+      const Offer& offer = current.offers[At(ask.offer)];
+      e.record.measured = true;
+      e.record.carried_from = offer.carried_from;
+      e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, offer.T_kept_current.covariance);
+      e.worth = e.record.gain;
+    } else {
+      const bool is_candidate =
+          e.record.probability > options_.probability ||
+          (plausible && DistanceToRange<Pose>(displacement, options_.range, most_distance_) <= most_distance_);
+      if (!is_candidate) continue;
+      e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, options_.link_covariance);
+      e.worth = within.prod() * e.record.gain;
+    }
+    out.push_back(std::move(e));
   }
   return out;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                           \
-  template void CompactPoseSlam<Pose>::UpdateCovariances();                               \
-  template void CompactPoseSlam<Pose>::UpdateSearch(int);                                 \
-  template std::vector<int> CompactPoseSlam<Pose>::InReach(const Current&);               \
-  template std::vector<CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate( \
-      const Current&, const std::vector<int>&) const;
+#define TERSE_INSTANTIATE(Pose)                                                                          \
+  template void CompactPoseSlam<Pose>::UpdateCovariances();                                              \
+  template UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int, int) const;                 \
+  template void CompactPoseSlam<Pose>::UpdateSearch(int);                                                \
+  template std::vector<CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(const Current&, bool); \
+  template std::vector<CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(                \
+      const Current&, const std::vector<Ask>&, bool) const;
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -20,17 +20,20 @@ void Serialize(Archive& archive, DistanceOptions& options) {
 
 template <class Archive, class Pose>
 void Serialize(Archive& archive, CompactOptions<Pose>& options) {
-  auto& [strategy, range, probability, min_loop_gain, min_pose_gain, link_covariance, distance, composition,
-         innovation_quantile, consensus, solver, log] = options;  // the log is not stored
-  archive(strategy, range, probability, min_loop_gain, min_pose_gain, link_covariance, distance, composition,
-          innovation_quantile, consensus, solver);
+  auto& [strategy, range, probability, plausible_quantile, max_registrations, failed_neighbourhood, min_loop_gain,
+         min_pose_gain, link_covariance, distance, composition, innovation_quantile, consensus, record, most_recorded,
+         solver,
+         log] = options;  // the log is not stored
+  archive(strategy, range, probability, plausible_quantile, max_registrations, failed_neighbourhood, min_loop_gain,
+          min_pose_gain, link_covariance, distance, composition, innovation_quantile, consensus, record, most_recorded,
+          solver);
 }
 
 template <class Pose>
 template <class Archive>
 void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
-  auto& [options, most_innovation, solver, marginals, history, index, links, refused, searches, T_pose_base, reach,
-         searched_version, searched_base] = *this;
+  auto& [options, most_innovation, most_distance, solver, marginals, history, index, links, refused, failed, searches,
+         T_pose_base, reach, searched_version, searched_base] = *this;
   archive(options);
   if constexpr (Archive::kReads) TakeOptions(options);
   archive(*solver, *marginals, searches);
@@ -39,12 +42,16 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
     archive(factor, added_at, gain);
   });
   archive.Each(history, [&](Seen& seen) {
-    auto& [id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next] = seen;
-    archive(id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next);
+    auto& [id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next, odometry] = seen;
+    archive(id, base, T_base_pose, T_world_body_when_seen, previous, kept, next_kept, T_base_next, odometry);
   });
   archive.Each(refused, [&](Refused& link) {
     auto& [candidate, seen, T_candidate_seen] = link;
     archive(candidate, seen, T_candidate_seen);
+  });
+  archive.Each(failed, [&](Failed& registration) {
+    auto& [candidate, seen] = registration;
+    archive(candidate, seen);
   });
   if constexpr (Archive::kReads) {
     index.clear();
@@ -58,6 +65,10 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
     }
     for (const Refused& link : refused) {
       if (!solver->Graph().HasPose(link.candidate) || !HasSeen(link.seen)) archive.Fail("a link of unknown poses");
+    }
+    for (const Failed& registration : failed) {
+      if (!solver->Graph().HasPose(registration.candidate) || !HasSeen(registration.seen))
+        archive.Fail("a registration of unknown poses");
     }
     for (const Link& link : links) {
       if (solver->Graph().FindFactor(link.factor) == nullptr || !HasSeen(link.added_at))

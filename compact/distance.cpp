@@ -1,8 +1,11 @@
 #include "terse/compact/distance.h"
 
+#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 namespace terse {
 namespace {
@@ -148,6 +151,37 @@ Vector<Displacement<Pose>::kSize> RangeProbabilities(const Displacement<Pose>& d
   return out;
 }
 
+// Coordinate descent on a convex quadratic over a box.
+template <class Pose>
+double DistanceToRange(const Displacement<Pose>& displacement, const Vector<Displacement<Pose>::kSize>& range,
+                       double enough) {
+  constexpr int kSize = Displacement<Pose>::kSize, kMostSweeps = 60;
+  const auto& Sigma = displacement.covariance;
+  const bool has_angle = range[Pose::kDim] < kPi && Sigma(Pose::kDim, Pose::kDim) < 1;
+  const int n = has_angle ? kSize : Pose::kDim;
+  using Small = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kSize, 1>;
+  using Square = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kSize, kSize>;
+  Small mean = displacement.mean.head(n);
+  if (has_angle) mean[n - 1] = std::remainder(mean[n - 1], 2 * kPi);
+  const Small limit = range.head(n);
+  Small x = mean.cwiseMin(limit).cwiseMax(-limit);
+  if (x == mean) return 0;
+  // What is known exactly is nowhere else.
+  const Eigen::LLT<Square> llt(Square(Sigma.topLeftCorner(n, n)));
+  if (llt.info() != Eigen::Success) return std::numeric_limits<double>::infinity();
+  const Square information = llt.solve(Square::Identity(n, n));
+  double distance = (x - mean).dot(information * (x - mean));
+  for (int sweep = 0; sweep < kMostSweeps && distance > enough; ++sweep) {
+    for (int k = 0; k < n; ++k) {
+      const double step = information.row(k).dot(x - mean) / information(k, k);
+      x[k] = std::clamp(x[k] - step, -limit[k], limit[k]);
+    }
+    const double before = std::exchange(distance, (x - mean).dot(information * (x - mean)));
+    if (!(before - distance > 1e-6 * before)) break;
+  }
+  return distance;
+}
+
 double AngleProbabilityBound(double mean, double sigma, double range) {
   const double angle = std::abs(mean);
   if (angle <= range) return 1;
@@ -169,5 +203,7 @@ double DeviationsBeyondRange(double probability) {
 
 template Vector<3> RangeProbabilities<SE2>(const Displacement<SE2>&, const Vector<3>&);
 template Vector<4> RangeProbabilities<SE3>(const Displacement<SE3>&, const Vector<4>&);
+template double DistanceToRange<SE2>(const Displacement<SE2>&, const Vector<3>&, double);
+template double DistanceToRange<SE3>(const Displacement<SE3>&, const Vector<4>&, double);
 
 }  // namespace terse

@@ -119,6 +119,7 @@ void GraphReplay<Pose>::Build(const PoseGraph<Pose>& graph, const std::vector<Ar
       input.T_world_body = node.T_world_body;
       input.fixed = node.fixed && node.T_world_body.has_value();
       input.linkable.emplace();
+      input.loops.emplace();
       inputs_.push_back(std::move(input));
     }
   }
@@ -146,6 +147,7 @@ void GraphReplay<Pose>::Build(const PoseGraph<Pose>& graph, const std::vector<Ar
     for (const auto* edge : edges[k]) {
       if (edge == *odometry) continue;
       inputs_[k].linkable->push_back(edge->from == inputs_[k].id ? edge->to : edge->from);
+      inputs_[k].loops->push_back(*edge);
       waiting_[Pair(edge->from, edge->to)].push_back(static_cast<int>(links_.size()));
       links_.push_back(*edge);
       owner_.push_back(static_cast<int>(k));
@@ -170,6 +172,7 @@ void GraphReplay<Pose>::DrawAtRandom(int poses, int links, std::uint64_t seed) {
   for (auto& input : inputs_) {
     input.drawn = false;
     input.linkable.emplace();
+    input.loops.emplace();
   }
   std::set<std::int64_t> drawn;
   for (const int k : chosen) {
@@ -188,6 +191,7 @@ void GraphReplay<Pose>::DrawAtRandom(int poses, int links, std::uint64_t seed) {
     CompactInput<Pose>& input = inputs_[At(owner_[At(k)])];
     const RelativePoseFactor<Pose>& link = links_[At(k)];
     input.linkable->push_back(link.from == input.id ? link.to : link.from);
+    input.loops->push_back(link);
   }
 }
 

@@ -1,6 +1,5 @@
 #include "terse/compact/measurement_stream.h"
 
-#include <algorithm>
 #include <stdexcept>
 #include <utility>
 
@@ -10,13 +9,6 @@ namespace {
 std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
 }  // namespace
-
-template <class Pose>
-struct MeasurementStream<Pose>::Offer {
-  RelativePoseFactor<Pose> measured, carried;
-  PoseId kept;
-  bool taken = false;
-};
 
 template <class Pose>
 MeasurementStream<Pose>::MeasurementStream(CompactPoseSlam<Pose>& slam) : slam_(&slam) {
@@ -41,7 +33,7 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::Flush() {
 template <class Pose>
 std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFactor<Pose>& edge) {
   if (IsEmpty()) {
-    OpenPose next = Prepare(edge.to, edge);
+    CompactInput<Pose> next = Prepare(edge.to, edge);
     OpenNext(Prepare(edge.from, std::nullopt));
     std::vector<StreamOutcome> out = Close();
     OpenNext(std::move(next));
@@ -54,10 +46,10 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFa
   }
   if (knows_from && knows_to) {
     if (!IsOpen(edge.from) && !IsOpen(edge.to)) return {LinkLate(edge)};
-    open_->loops.push_back(edge);
+    open_->loops->push_back(edge);
     return {};
   }
-  OpenPose next = Prepare(knows_from ? edge.to : edge.from, edge);
+  CompactInput<Pose> next = Prepare(knows_from ? edge.to : edge.from, edge);
   std::vector<StreamOutcome> out = Flush();
   OpenNext(std::move(next));
   return out;
@@ -80,7 +72,7 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddPrior(const Factor<Pose>&
     if (!IsEmpty()) throw std::invalid_argument("a prior on " + Name(id) + ", which no edge has named yet");
     OpenNext(Prepare(id, std::nullopt));
   }
-  open_->input.priors.push_back(prior);
+  open_->priors.push_back(prior);
   return {};
 }
 
@@ -88,20 +80,20 @@ template <class Pose>
 void MeasurementStream<Pose>::SetValue(PoseId id, const Pose& T_world_body) {
   if (!IsFinite(T_world_body)) throw std::invalid_argument("the value of " + Name(id) + " is not finite");
   if (slam_->HasSeen(id)) throw std::invalid_argument("the value of " + Name(id) + " comes after the pose was closed");
-  (IsOpen(id) ? open_->input.T_world_body.emplace() : values_[id]) = T_world_body;
+  (IsOpen(id) ? open_->T_world_body.emplace() : values_[id]) = T_world_body;
 }
 
 template <class Pose>
 void MeasurementStream<Pose>::Fix(const std::vector<PoseId>& ids) {
   for (const PoseId id : ids) {
     if (slam_->HasSeen(id)) throw std::invalid_argument(Name(id) + " is fixed only after it was closed");
-    if (IsOpen(id) && open_->input.odometry && !open_->input.T_world_body) {
+    if (IsOpen(id) && open_->odometry && !open_->T_world_body) {
       throw std::invalid_argument(Name(id) + " is fixed but has no value");
     }
   }
   for (const PoseId id : ids) {
     if (IsOpen(id)) {
-      open_->input.fixed = true;
+      open_->fixed = true;
     } else {
       fixed_.insert(id);
     }
@@ -110,65 +102,31 @@ void MeasurementStream<Pose>::Fix(const std::vector<PoseId>& ids) {
 
 // As it would be opened; nothing changes yet.
 template <class Pose>
-typename MeasurementStream<Pose>::OpenPose MeasurementStream<Pose>::Prepare(
-    PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry) const {
-  OpenPose pose;
-  pose.input.id = id;
-  pose.input.odometry = odometry;
-  pose.input.fixed = fixed_.count(id) != 0;
-  if (const auto value = values_.find(id); value != values_.end()) pose.input.T_world_body = value->second;
-  if (pose.input.fixed && odometry && !pose.input.T_world_body) {
+CompactInput<Pose> MeasurementStream<Pose>::Prepare(PoseId id,
+                                                    const std::optional<RelativePoseFactor<Pose>>& odometry) const {
+  CompactInput<Pose> pose;
+  pose.id = id;
+  pose.odometry = odometry;
+  pose.loops.emplace();
+  pose.fixed = fixed_.count(id) != 0;
+  if (const auto value = values_.find(id); value != values_.end()) pose.T_world_body = value->second;
+  if (pose.fixed && odometry && !pose.T_world_body) {
     throw std::invalid_argument(Name(id) + " is fixed but has no value");
   }
   return pose;
 }
 
 template <class Pose>
-void MeasurementStream<Pose>::OpenNext(OpenPose pose) {
-  values_.erase(pose.input.id);
-  fixed_.erase(pose.input.id);
+void MeasurementStream<Pose>::OpenNext(CompactInput<Pose> pose) {
+  values_.erase(pose.id);
+  fixed_.erase(pose.id);
   open_ = std::move(pose);
 }
 
 template <class Pose>
-std::vector<typename MeasurementStream<Pose>::Offer> MeasurementStream<Pose>::MakeOffers() const {
-  std::vector<Offer> offers;
-  for (const RelativePoseFactor<Pose>& loop : open_->loops) {
-    const PoseId other = loop.from == open_->input.id ? loop.to : loop.from;
-    Offer offer{loop, slam_->CarryEndToKept(other, loop), slam_->KeptBase(other)};
-    // What overflows on its way is no measurement.
-    if (FindDefect<Pose>(offer.carried).empty()) offers.push_back(std::move(offer));
-  }
-  std::stable_partition(offers.begin(), offers.end(), [](const Offer& offer) {
-    return offer.measured.from == offer.carried.from && offer.measured.to == offer.carried.to;
-  });
-  return offers;
-}
-
-template <class Pose>
 std::vector<StreamOutcome> MeasurementStream<Pose>::Close() {
-  std::vector<Offer> offers = MakeOffers();
-  const OpenPose pose = *std::exchange(open_, std::nullopt);
-  CompactInput<Pose> input = pose.input;
-  std::vector<PoseId> linkable;
-  for (const Offer& offer : offers) linkable.push_back(offer.kept);
-  input.linkable = std::move(linkable);
-  const auto take = [&](PoseId candidate, PoseId) -> std::optional<RelativePoseFactor<Pose>> {
-    for (Offer& offer : offers) {
-      if (offer.taken || offer.kept != candidate) continue;
-      offer.taken = true;
-      return offer.carried;
-    }
-    return std::nullopt;
-  };
-  const Decision decision = slam_->AddPose(input, take);
-  std::vector<StreamOutcome> out = {decision};
-  for (const Offer& offer : offers) {
-    const auto asked = std::find_if(decision.candidates.begin(), decision.candidates.end(),
-                                    [&](const Candidate& c) { return c.tried && c.id == offer.kept; });
-    if (!offer.taken && asked != decision.candidates.end()) out.push_back(LinkLate(offer.measured));
-  }
-  return out;
+  const CompactInput<Pose> input = *std::exchange(open_, std::nullopt);
+  return {slam_->AddPose(input)};
 }
 
 template class MeasurementStream<SE2>;

@@ -156,9 +156,8 @@ class Sample {
     for (const PoseId id : linked) links.push_back(*registration_(id, input.id));
     if (input.odometry) Learn(input, linked, links);
     CompactInput<Pose> agreed = input;
-    agreed.linkable = linked;
-    auto next = links.begin();  // kApal asks in their order
-    slam_.AddPose(agreed, [&](PoseId, PoseId) { return *next++; });
+    agreed.loops = links;
+    slam_.AddPose(agreed);
   }
 
   Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Zero();

@@ -25,7 +25,7 @@ int main(int argc, char** argv) try {
   GraphReplay<SE3> replay(graph);
   CompactPoseSlam<SE3> slam(options);
   for (const auto& input : replay.Inputs()) {
-    const Decision decision = slam.AddPose(input, replay.AsRegistration());
+    const Decision decision = slam.AddPose(input);
     if (decision.links_accepted == 0) continue;
     std::printf("pose %4ld: %s, %d of %zu candidates linked\n", static_cast<long>(decision.id.value),
                 Name(decision.verdict), decision.links_accepted, decision.candidates.size());

@@ -58,6 +58,14 @@ CompactInput<Pose> InputFrom(const Input& from) {
   if (from.T_world_body) to.T_world_body = PoseFrom<Pose>(*from.T_world_body, "T_world_body");
   to.fixed = from.fixed;
   to.priors = FactorsFrom<Pose>(py::iter(from.priors));
+  if (!from.loops.is_none()) {
+    to.loops.emplace();
+    for (const Factor<Pose>& factor : FactorsFrom<Pose>(py::iter(from.loops))) {
+      if (!std::holds_alternative<RelativePoseFactor<Pose>>(factor))
+        throw py::type_error("loops: expected RelativePose objects");
+      to.loops->push_back(std::get<RelativePoseFactor<Pose>>(factor));
+    }
+  }
   if (from.linkable) {
     to.linkable.emplace();
     for (const std::int64_t id : *from.linkable) to.linkable->push_back(PoseId{id});
@@ -114,11 +122,10 @@ std::vector<Decision> Run(const Slam& slam, const Replay& replay, const py::obje
       [&](const auto& held) {
         using Pose = decltype(OriginOf(held));
         const auto& source = *Expect<std::shared_ptr<GraphReplay<Pose>>>(replay.replay, "replay");
-        const Registration<Pose> registration = const_cast<GraphReplay<Pose>&>(source).AsRegistration();
         std::vector<Decision> decisions;
         const py::gil_scoped_release release;
         for (const auto& input : source.Inputs()) {
-          decisions.push_back(held->AddPose(input, registration));
+          decisions.push_back(held->AddPose(input));
           if (!interrupter(static_cast<long>(decisions.size()), static_cast<long>(source.Inputs().size()))) break;
         }
         return decisions;
@@ -196,13 +203,15 @@ void BindAdding(Type& type) {
   type.def(
           "add_pose",
           [](const Slam& slam, std::int64_t id, py::object odometry, const py::object& registration,
-             std::optional<Array> T, bool fixed, py::object priors) {
+             std::optional<Array> T, bool fixed, py::object priors, py::object loops) {
             return Add(slam,
-                       Input{id, std::move(odometry), std::move(T), fixed, std::move(priors), std::nullopt, false},
+                       Input{id, std::move(odometry), std::move(T), fixed, std::move(priors), std::nullopt,
+                             std::move(loops), false},
                        registration);
           },
           py::arg("pose_id"), py::arg("odometry") = py::none(), py::arg("registration") = py::none(), py::kw_only(),
           py::arg("T_world_body") = py::none(), py::arg("fixed") = false, py::arg("priors") = py::tuple(),
+          py::arg("loops") = py::none(),
           "Decides on a new pose (Decision).\n\n"
           "odometry: RelativePose between it and an earlier pose, kept or dropped, in either direction; None for the "
           "very "
@@ -213,14 +222,16 @@ void BindAdding(Type& type) {
           "Python.\n"
           "T_world_body: of the first pose (else the identity) and of a fixed one: (3,), (3, 3), (7,) or (4, 4). "
           "fixed: keep "
-          "it, anchored there. priors: PosePrior and PositionPrior objects on it; a pose with priors is kept.\n"
+          "it, anchored there. priors: PosePrior and PositionPrior objects on it; a pose with priors is kept. "
+          "loops: RelativePose objects measured already, from it to earlier poses, kept or dropped; if they are "
+          "given, nothing is registered.\n"
           "ValueError or NumericalError, and then nothing has changed. What the registration raises passes through; "
           "links "
           "accepted before it, and the pose with them, stay, and the object can be used on. Without the GIL but in the "
           "registration, which may read this object but not change it.")
       .def("add", &Add, py::arg("input"), py::arg("registration") = py::none(), "As add_pose, from a CompactInput.")
       .def("run", &Run, py::arg("replay"), py::kw_only(), py::arg("progress") = py::none(),
-           "Adds all poses of a GraphReplay, which registers: a list of Decision. progress: called with (done, total); "
+           "Adds all poses of a GraphReplay with their loops: a list of Decision. progress: called with (done, total); "
            "it "
            "returns False to stop. Without the GIL; Ctrl-C works.")
       .def(

@@ -17,7 +17,8 @@ void BindCandidate(py::module_& module) {
       .def_property_readonly(
           "pose_id", [](const Candidate& c) { return c.id.value; }, "Its id.")
       .def_readonly("probability", &Candidate::probability, "Of being in range, least over the dimensions.")
-      .def_readonly("gain", &Candidate::gain, "Nats, with the expected covariance of a link.")
+      .def_readonly("gain", &Candidate::gain,
+                    "Nats, with the expected covariance of a link; of a loop that came with the pose with its own.")
       .def_readonly("tried", &Candidate::tried, "Whether it was registered.")
       .def_readonly("measured_gain", &Candidate::measured_gain,
                     "Nats, with the registered covariance; None if registration failed or was not tried.")
@@ -26,6 +27,12 @@ void BindCandidate(py::module_& module) {
       .def_readonly("outlier", &Candidate::outlier, "The innovation is too large: refused, whatever its gain.")
       .def_readonly("supported", &Candidate::supported, "It was, but others agree with it.")
       .def_readonly("accepted", &Candidate::accepted, "Whether the link is in the map.")
+      .def_property_readonly(
+          "carried_from",
+          [](const Candidate& c) {
+            return c.carried_from ? std::optional<std::int64_t>(c.carried_from->value) : std::nullopt;
+          },
+          "The dropped pose that the loop was measured at; None if it was measured at this one.")
       .def_property_readonly(
           "factor_id", [](const Candidate& c) { return ValueOf(c.factor); },
           "Of the link if it was accepted, else None; remove_link takes it.")
@@ -50,7 +57,18 @@ void BindDecision(py::module_& module) {
       .def_readonly("registrations_tried", &Decision::registrations_tried, "How often the registration was asked.")
       .def_readonly("links_accepted", &Decision::links_accepted, "Links that are in the map.")
       .def_readonly("links_refused", &Decision::links_refused, "Links that the innovation test refused.")
-      .def_readonly("candidates", &Decision::candidates, "List of Candidate, in the order they were settled. A copy.")
+      .def_readonly("candidates", &Decision::candidates,
+                    "List of Candidate: those tried, in that order, and the best of the others "
+                    "(CompactOptions.record). A copy.")
+      .def_readonly("candidates_found", &Decision::candidates_found, "How many there were.")
+      .def_property_readonly(
+          "revived",
+          [](const Decision& d) {
+            std::vector<std::int64_t> ids;
+            for (const PoseId id : d.revived) ids.push_back(id.value);
+            return ids;
+          },
+          "Ids of poses dropped earlier that are kept from now on, because a loop of this pose leads to them.")
       .def("__repr__", [](const Decision& d) {
         return "<terse.Decision: pose " + std::to_string(d.id.value) + " " + Name(d.verdict) + ">";
       });

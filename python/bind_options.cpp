@@ -161,6 +161,17 @@ void BindCompactOptions(py::module_& module) {
       type, "probability", [](auto& o) -> auto& { return o.probability; },
       "Every dimension must be in range with more than this.");
   DefField(
+      type, "plausible_quantile", [](auto& o) -> auto& { return o.plausible_quantile; },
+      "A pose is a candidate, too, if the range meets the ellipsoid that holds the displacement with this "
+      "probability.");
+  DefField(
+      type, "max_registrations", [](auto& o) -> auto& { return o.max_registrations; },
+      "Registrations per pose, at most; the most information that can be expected of one comes first.");
+  DefWordField(
+      type, "record", [](auto& o) -> auto& { return o.record; },
+      "What a Decision keeps of the search: 'none' (counts), 'decisions' (what was registered) or 'candidates' (the "
+      "best of the others too).");
+  DefField(
       type, "min_loop_gain", [](auto& o) -> auto& { return o.min_loop_gain; }, "A link is kept if it adds more, nats.");
   DefField(
       type, "min_pose_gain", [](auto& o) -> auto& { return o.min_pose_gain; },

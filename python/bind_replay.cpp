@@ -35,6 +35,11 @@ Input InputOf(const CompactInput<Pose>& from) {
   py::list priors;
   for (const auto& prior : from.priors) priors.append(ObjectOf<Pose>(prior));
   to.priors = priors;
+  if (from.loops) {
+    py::list loops;
+    for (const auto& loop : *from.loops) loops.append(py::cast(RelativePose{loop}));
+    to.loops = loops;
+  }
   if (from.linkable) {
     to.linkable.emplace();
     for (const PoseId id : *from.linkable) to.linkable->push_back(id.value);
@@ -68,26 +73,37 @@ void BindInput(py::module_& module) {
   py::class_<Input>(module, "CompactInput",
                     "A pose as it arrives, with its measurements: CompactPoseSlam.add takes it.")
       .def(py::init([](std::int64_t id, py::object odometry, std::optional<Array> T, bool fixed, py::object priors,
-                       std::optional<std::vector<std::int64_t>> linkable, bool drawn) {
-             return Input{id, std::move(odometry), std::move(T), fixed, std::move(priors), std::move(linkable), drawn};
+                       std::optional<std::vector<std::int64_t>> linkable, py::object loops, bool drawn) {
+             return Input{id,
+                          std::move(odometry),
+                          std::move(T),
+                          fixed,
+                          std::move(priors),
+                          std::move(linkable),
+                          std::move(loops),
+                          drawn};
            }),
            py::arg("pose_id"), py::arg("odometry") = py::none(), py::kw_only(), py::arg("T_world_body") = py::none(),
            py::arg("fixed") = false, py::arg("priors") = py::tuple(), py::arg("linkable") = py::none(),
-           py::arg("drawn") = false, "Arguments as the attributes; CompactPoseSlam.add_pose says what they are.")
+           py::arg("loops") = py::none(), py::arg("drawn") = false,
+           "Arguments as the attributes; CompactPoseSlam.add_pose says what they are.")
       .def_readwrite("pose_id", &Input::id, "Id of the pose.")
       .def_readwrite("odometry", &Input::odometry, "RelativePose to an earlier pose; None for the first one.")
       .def_readwrite("T_world_body", &Input::T_world_body, "(3,) or (7,) or None: where the first or a fixed pose is.")
       .def_readwrite("fixed", &Input::fixed, "Keep it, anchored at T_world_body.")
       .def_readwrite("priors", &Input::priors, "PosePrior and PositionPrior objects on this pose.")
       .def_readwrite("linkable", &Input::linkable, "Ids of poses that can be linked, if known ('apal' and 'rfpfl').")
+      .def_readwrite("loops", &Input::loops,
+                     "RelativePose objects measured already, to earlier poses, kept or dropped: nothing else is "
+                     "registered then. Or None.")
       .def_readwrite("drawn", &Input::drawn, "'rfpfl': keep it.");
 }
 
 void BindGraphReplay(py::module_& module) {
   py::class_<Replay, std::shared_ptr<Replay>>(
       module, "GraphReplay",
-      "A stored PoseGraph as a run: its poses in order of arrival (a sequence of CompactInput), its edges as the "
-      "registration. One replay serves one run, each edge is given once.")
+      "A stored PoseGraph as a run: its poses in order of arrival (a sequence of CompactInput) with their loops. It is "
+      "also a registration, for inputs without loops: then each edge is given once, so one replay serves one run.")
       .def(py::init(&MakeReplay), py::arg("graph"), "ValueError if the graph is empty or not connected.")
       .def_property_readonly(
           "dimension", [](const Replay& r) { return DimensionOf(r.replay); }, "2 or 3.")

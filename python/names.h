@@ -59,6 +59,8 @@ TERSE_WORDS(Strategy, "strategy", {"apal", Strategy::kApal}, {"apfl", Strategy::
 TERSE_WORDS(AngleMeasure, "angle", {"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation});
 TERSE_WORDS(CompositionOrder, "composition", {"first", CompositionOrder::kFirst},
             {"fourth", CompositionOrder::kFourth});
+TERSE_WORDS(Record, "record", {"none", Record::kNone}, {"decisions", Record::kDecisions},
+            {"candidates", Record::kCandidates});
 TERSE_WORDS(Recovery, "recovery", {"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2});
 
 #undef TERSE_WORDS

@@ -126,6 +126,7 @@ struct Input {
   bool fixed = false;
   py::object priors = py::tuple();
   std::optional<std::vector<std::int64_t>> linkable;
+  py::object loops = py::none();  // RelativePose objects
   bool drawn = false;
 };
 

@@ -47,6 +47,10 @@ void ExpectAllOffered(const PoseGraph<Pose>& graph) {
       ++links;
     }
     for (const PoseId other : *input.linkable) EXPECT_FALSE(registration(other, input.id)) << "each edge once";
+    ASSERT_EQ(input.loops->size(), input.linkable->size());
+    for (std::size_t k = 0; k < input.loops->size(); ++k) {
+      EXPECT_TRUE(Same((*input.loops)[k], offered[offered.size() - input.loops->size() + k]));
+    }
     for (const auto& prior : input.priors) EXPECT_EQ(PosesOf(prior).first, input.id);
     priors += input.priors.size();
     EXPECT_TRUE(arrived.insert(input.id.value).second);

@@ -98,7 +98,7 @@ TYPED_TEST(RecoveryTest, KeptPosesAreTheSameInAllAndPosesAreInOrderOfArrival) {
   for (std::size_t k = 0; k < v0.size(); ++k) {
     for (const auto* v : {&v0, &v1, &v2}) {
       EXPECT_EQ((*v)[k].id, replay.Inputs()[k].id);
-      EXPECT_EQ((*v)[k].kept, run.decisions[k].Kept());
+      EXPECT_EQ((*v)[k].kept, run.slam->Solver().Graph().HasPose((*v)[k].id));
       EXPECT_TRUE((*v)[k].T_world_body.Translation().allFinite());
     }
     EXPECT_EQ(testing::Distance(v1[k].T_world_body, run.slam->Estimate(v1[k].id)), 0);
@@ -131,12 +131,12 @@ TYPED_TEST(RecoveryTest, V2IsTheMostLikelyChainBetweenItsEnds) {
     CompactInput<Pose> input;
     input.id = PoseId{k};
     if (k > 0) input.odometry = steps[static_cast<std::size_t>(k - 1)];
-    slam.AddPose(input, [&](PoseId a, PoseId b) -> std::optional<RelativePoseFactor<Pose>> {
-      if (b.value < 3) return std::nullopt;
+    if (k == 3) {
       const Pose exact = steps[0].T_from_to * steps[1].T_from_to * steps[2].T_from_to;
-      return RelativePoseFactor<Pose>{a, b, exact.Retract(Pose::Tangent::Constant(misfit)),
-                                      1e8 * Pose::Jacobian::Identity()};
-    });
+      input.loops = {RelativePoseFactor<Pose>{PoseId{0}, input.id, exact.Retract(Pose::Tangent::Constant(misfit)),
+                                              1e8 * Pose::Jacobian::Identity()}};
+    }
+    slam.AddPose(input);
   }
   ASSERT_EQ(Dropped(slam), 2);
   slam.Finish();

@@ -42,8 +42,7 @@ struct CompactRun {
 template <class Pose>
 CompactRun<Pose> RunCompact(GraphReplay<Pose>& replay, const CompactOptions<Pose>& options) {
   CompactRun<Pose> run{std::make_unique<CompactPoseSlam<Pose>>(options), {}};
-  const auto registration = replay.AsRegistration();
-  for (const auto& input : replay.Inputs()) run.decisions.push_back(run.slam->AddPose(input, registration));
+  for (const auto& input : replay.Inputs()) run.decisions.push_back(run.slam->AddPose(input));
   return run;
 }
 
@@ -67,6 +66,7 @@ struct SlippingCircle {
     options.min_loop_gain = 0.1;
     options.link_covariance = 1e-4 * Matrix<3, 3>::Identity();
     options.consensus = consensus;
+    options.failed_neighbourhood = 0;  // it is only these pairs that match
     const Matrix<3, 3> information = 1e4 * Matrix<3, 3>::Identity();
     const SE2 step(1, 0, 2 * M_PI / 20);
     std::vector<SE2> truth = {SE2()};

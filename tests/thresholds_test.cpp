@@ -32,7 +32,7 @@ class Recorder {
     for (long k = 0; k < poses; ++k) {
       const auto& input = replay_.Inputs()[static_cast<std::size_t>(k)];
       if (k > 0) Look(input);
-      slam_.AddPose(input, replay_.AsRegistration());
+      slam_.AddPose(input);
     }
     return out_;
   }

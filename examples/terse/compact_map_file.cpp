@@ -287,6 +287,11 @@ CompactMap<Pose> ReadMap(const Place& root) {
     map.refused.push_back(
         {ReadId(p, "candidate"), ReadId(p, "seen"), ReadUncertain<Pose>(p, "T_candidate_seen", "covariance")});
   }
+  if (root.Has("failed")) {  // not in files of earlier versions
+    for (const Place& p : root.At("failed", "a list").Items()) {
+      map.failed.push_back({ReadId(p, "candidate"), ReadId(p, "seen")});
+    }
+  }
   const std::string defect = FindDefect(map);
   if (!defect.empty()) root.Fail(defect);
   return map;
@@ -356,6 +361,10 @@ void WriteGraphJson(const CompactMap<Pose>& map, Strategy strategy, const std::s
            ",\"covariance\":" + Triangle<Pose::kDof>(link.T_candidate_seen.covariance) + '}';
   };
   WriteList("refused", map.refused, refused_text, out);
+  const auto failed_text = [](const auto& failed) {
+    return "{\"candidate\":" + Id(failed.candidate) + ",\"seen\":" + Id(failed.seen) + '}';
+  };
+  WriteList("failed", map.failed, failed_text, out);
   out << "}\n";
   file.Commit();
 }

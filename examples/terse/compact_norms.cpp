@@ -21,13 +21,13 @@ template <class Pose>
 class System {
  public:
   System(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options)
-      : replay_(graph), registration_(replay_.AsRegistration()), slam_(options), marginals_(slam_.Solver()) {}
+      : replay_(graph), slam_(options), marginals_(slam_.Solver()) {}
 
   const CompactPoseSlam<Pose>& Slam() const { return slam_; }
   const CompactInput<Pose>& Input(std::size_t k) const { return replay_.Inputs()[k]; }
 
   void Add(const CompactInput<Pose>& input) {
-    const Decision decision = slam_.AddPose(input, registration_);
+    const Decision decision = slam_.AddPose(input);
     newest_ = input.id;
     chain_ = UncertainPose<Pose>();
     if (!decision.Kept()) {
@@ -58,7 +58,6 @@ class System {
 
  private:
   GraphReplay<Pose> replay_;
-  Registration<Pose> registration_;
   CompactPoseSlam<Pose> slam_;
   IncrementalMarginals<Pose> marginals_;
   PoseId newest_;
@@ -79,9 +78,10 @@ std::vector<NormPoint> ComputeNorms(const PoseGraph<Pose>& graph, const CompactO
   for (std::size_t k = 0; k < graph.Poses().size(); ++k) {
     const PoseGraph<Pose>& kept = few.Slam().Solver().Graph();
     CompactInput<Pose> input = marginalised.Input(k);
-    std::vector<PoseId> there = input.linkable.value_or(std::vector<PoseId>());
-    there.erase(std::remove_if(there.begin(), there.end(), [&](PoseId id) { return !kept.HasPose(id); }), there.end());
-    input.linkable = std::move(there);
+    const auto is_gone = [&](const RelativePoseFactor<Pose>& loop) {
+      return !kept.HasPose(loop.from == input.id ? loop.to : loop.from);
+    };
+    input.loops->erase(std::remove_if(input.loops->begin(), input.loops->end(), is_gone), input.loops->end());
     marginalised.Add(input);
     apal.Add(apal.Input(k));
     few.Add(few.Input(k));

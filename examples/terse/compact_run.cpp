@@ -20,7 +20,7 @@ Thresholds<Pose> SampleWithProgress(const PoseGraph<Pose>& graph, std::optional<
 }
 
 template <class Pose>
-CompactRun<Pose> RunWithProgress(CompactPoseSlam<Pose> slam, GraphReplay<Pose>& replay, const std::string& label,
+CompactRun<Pose> RunWithProgress(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay, const std::string& label,
                                  bool quiet, const AfterStep<Pose>& after_step) {
   Progress progress(label, static_cast<long>(replay.Inputs().size()), quiet);
   long done = 0;
@@ -34,8 +34,8 @@ CompactRun<Pose> RunWithProgress(CompactPoseSlam<Pose> slam, GraphReplay<Pose>& 
 #define TERSE_INSTANTIATE(Pose)                                                                                        \
   template Thresholds<Pose> SampleWithProgress<Pose>(const PoseGraph<Pose>&, std::optional<double>,                    \
                                                      const std::string&, bool, CompactOptions<Pose>&);                 \
-  template CompactRun<Pose> RunWithProgress<Pose>(CompactPoseSlam<Pose>, GraphReplay<Pose>&, const std::string&, bool, \
-                                                  const AfterStep<Pose>&);
+  template CompactRun<Pose> RunWithProgress<Pose>(CompactPoseSlam<Pose>, const GraphReplay<Pose>&, const std::string&, \
+                                                  bool, const AfterStep<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -15,7 +15,7 @@ Thresholds<Pose> SampleWithProgress(const PoseGraph<Pose>& graph, std::optional<
 
 // RunCompact.
 template <class Pose>
-CompactRun<Pose> RunWithProgress(CompactPoseSlam<Pose> slam, GraphReplay<Pose>& replay, const std::string& label,
+CompactRun<Pose> RunWithProgress(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay, const std::string& label,
                                  bool quiet, const AfterStep<Pose>& after_step = nullptr);
 
 }  // namespace terse

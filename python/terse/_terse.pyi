@@ -21,6 +21,7 @@ Gate = Literal["newton_decrement", "mutual_information", "log_determinant", "loo
 Method = Literal["levenberg_marquardt", "gauss_newton"]
 Order = Literal["translation_first", "rotation_first"]
 Policy = Literal["default", "gn1", "gni", "gni-lcg", "gni-igg", "gni-spo", "gni-spo-lcg", "gni-spo-igg"]
+Record = Literal["none", "decisions", "candidates"]
 Recovery = Literal["v0", "v1", "v2"]
 Robust = Literal["none", "huber", "cauchy", "tukey", "dcs", "gnc"]
 RotationInformation = Literal["quaternion", "radians"]
@@ -52,13 +53,15 @@ class Candidate:
     @property
     def accepted(self) -> bool: ...
     @property
+    def carried_from(self) -> Optional[int]: ...
+    @property
     def factor_id(self) -> Optional[int]: ...
 
 class CompactInput:
     def __init__(
         self, pose_id: int, odometry: Optional[RelativePose] = None, *, T_world_body: Optional[ArrayLike] =
-        None, fixed: bool = False, priors: Iterable[Prior] = (), linkable: Optional[List[int]] = None, drawn:
-        bool = False,
+        None, fixed: bool = False, priors: Iterable[Prior] = (), linkable: Optional[List[int]] = None, loops:
+        Optional[Iterable[RelativePose]] = None, drawn: bool = False,
     ) -> None: ...
     @property
     def pose_id(self) -> int: ...
@@ -85,6 +88,10 @@ class CompactInput:
     @linkable.setter
     def linkable(self, value: Optional[List[int]]) -> None: ...
     @property
+    def loops(self) -> Optional[Iterable[RelativePose]]: ...
+    @loops.setter
+    def loops(self, value: Optional[Iterable[RelativePose]]) -> None: ...
+    @property
     def drawn(self) -> bool: ...
     @drawn.setter
     def drawn(self, value: bool) -> None: ...
@@ -94,7 +101,8 @@ class CompactOptions:
         self, dimension: int, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike =
         ..., view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain:
         float = ..., angle: Angle = ..., composition: Composition = ..., innovation_quantile: Optional[float] =
-        ..., consensus: int = ..., solver: IncrementalOptions = ...,
+        ..., consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record =
+        ..., solver: IncrementalOptions = ...,
     ) -> None: ...
     @property
     def dimension(self) -> int: ...
@@ -118,6 +126,18 @@ class CompactOptions:
     def probability(self) -> float: ...
     @probability.setter
     def probability(self, value: float) -> None: ...
+    @property
+    def plausible_quantile(self) -> float: ...
+    @plausible_quantile.setter
+    def plausible_quantile(self, value: float) -> None: ...
+    @property
+    def max_registrations(self) -> int: ...
+    @max_registrations.setter
+    def max_registrations(self, value: int) -> None: ...
+    @property
+    def record(self) -> Record: ...
+    @record.setter
+    def record(self, value: Record) -> None: ...
     @property
     def min_loop_gain(self) -> float: ...
     @min_loop_gain.setter
@@ -152,6 +172,7 @@ class CompactPoseSlam:
     def add_pose(
         self, pose_id: int, odometry: Optional[RelativePose] = None, registration: Optional[Registration] =
         None, *, T_world_body: Optional[ArrayLike] = None, fixed: bool = False, priors: Iterable[Prior] = (),
+        loops: Optional[Iterable[RelativePose]] = None,
     ) -> Decision: ...
     def add(self, input: CompactInput, registration: Optional[Registration] = None) -> Decision: ...
     def run(
@@ -219,6 +240,10 @@ class Decision:
     def links_refused(self) -> int: ...
     @property
     def candidates(self) -> List[Candidate]: ...
+    @property
+    def candidates_found(self) -> int: ...
+    @property
+    def revived(self) -> List[int]: ...
 
 class Edges:
     @property
@@ -639,7 +664,8 @@ class Thresholds:
         self, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ..., view_axis:
         ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
         angle: Angle = ..., composition: Composition = ..., innovation_quantile: Optional[float] = ...,
-        consensus: int = ..., solver: IncrementalOptions = ...,
+        consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
+        solver: IncrementalOptions = ...,
     ) -> CompactOptions: ...
 
 class Trajectory:

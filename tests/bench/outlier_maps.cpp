@@ -63,9 +63,9 @@ MapResult MapRuns<Pose>::Compact(const Contaminated<Pose>& with, const Threshold
   std::vector<FactorId> wrong;
   try {
     for (const auto& input : replay.Inputs()) {
-      const Decision decision = slam.AddPose(input, replay.AsRegistration());
+      const Decision decision = slam.AddPose(input);
       for (const Candidate& c : decision.candidates) {
-        if (!c.accepted || with.wrong.count(PairOf(c.id, decision.id)) == 0) continue;
+        if (!c.accepted || with.wrong.count(PairOf(c.carried_from.value_or(c.id), decision.id)) == 0) continue;
         wrong.push_back(*c.factor);
         out.by_consensus += c.supported ? 1 : 0;
       }

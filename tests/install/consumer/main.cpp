@@ -77,7 +77,10 @@ void SolveAndCompact(const char* path) {
   options.link_covariance = replay.LinkCovariance();
   terse::CompactPoseSlam<SE3> slam(options);
   std::vector<terse::Decision> decisions;
-  for (const auto& input : replay.Inputs()) decisions.push_back(slam.AddPose(input, counted));
+  for (terse::CompactInput<SE3> input : replay.Inputs()) {
+    input.loops.reset();  // to be registered
+    decisions.push_back(slam.AddPose(input, counted));
+  }
   std::printf("compact: last %s, %zu of %d poses, %d links, %d calls\n", terse::Name(decisions.back().verdict),
               slam.Solver().Graph().Poses().size(), slam.PosesSeen(), slam.LinksKept(), calls);
   std::printf("recovered %zu, the last %.9g m from the origin\n", slam.Trajectory().size(),

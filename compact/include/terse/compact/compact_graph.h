@@ -35,7 +35,7 @@ using AfterStep = std::function<void(const CompactPoseSlam<Pose>&, const Decisio
 // All inputs of the replay through `slam`, which may have seen poses before. Throws NumericalError if the kept map has
 // no optimum, and what AddPose throws.
 template <class Pose>
-CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, GraphReplay<Pose>& replay,
+CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay,
                             const AfterStep<Pose>& after_step = nullptr);
 
 // With the options as they are. Throws std::invalid_argument besides if the graph is empty or not connected, or for

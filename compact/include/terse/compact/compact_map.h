@@ -51,11 +51,16 @@ struct CompactMap {
     PoseId candidate, seen;
     UncertainPose<Pose> T_candidate_seen;
   };
+  // A registration that failed: its neighbours are not tried again at once.
+  struct Failed {
+    PoseId candidate, seen;
+  };
   std::vector<SeenPose> poses;  // in order of arrival
   std::vector<Edge> edges;      // between kept poses, ascending factors
   std::vector<Prior> priors;    // on kept poses
   std::vector<Fixed> fixed;
   std::vector<Refused> refused;  // oldest first
+  std::vector<Failed> failed;    // likewise
 };
 
 // What contradicts itself in a map and where, as "poses[3].base: ...", else empty. That measurements hold all poses is

@@ -16,12 +16,25 @@ namespace terse {
 enum class Strategy { kApal, kApfl, kFpfl, kRfpfl };
 const char* Name(Strategy strategy);
 
+// What a Decision keeps of the search: nothing but counts, what was registered, or also the best of what was not.
+enum class Record { kNone, kDecisions, kCandidates };
+
 template <class Pose>
 struct CompactOptions {
   Strategy strategy = Strategy::kFpfl;
   // v. Sensor range per dimension of the displacement: metres, then radians.
   Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Constant(1);
-  double probability = 0.1;  // s: every dimension must be in range with more than this
+  // s: a pose counts as within range when every dimension is with more than this probability (Eq. 18).
+  double probability = 0.1;
+  // A pose is a candidate for a link when it is within range, or when the range meets the ellipsoid that holds the
+  // displacement with this probability: a map that has drifted far knows no displacement well, and that is when it
+  // needs its loops. The probability of Eq. 18 then says in which order they are registered.
+  double plausible_quantile = 0.9999;
+  // Registrations per pose, at most; at least 1. The most information that can be expected of one comes first.
+  int max_registrations = 8;
+  // Where a registration failed lately, no other is tried between poses that lie within this share of the sensor range
+  // of the two: they look the same to the sensor.
+  double failed_neighbourhood = 0.25;
   // g_loop, g_pose, nats. These keep much: SelectThresholds (thresholds.h) takes at least 0.5 and 0.9 nats per degree
   // of freedom, 3 and 5.4 in 3D, and the range from the data too.
   double min_loop_gain = 1.0;
@@ -36,11 +49,14 @@ struct CompactOptions {
   // So many refused links of different poses that agree with each other are right after all: it is the map that is off,
   // as after odometry that was worse than its covariance says. At least 2.
   int consensus = 3;
+  Record record = Record::kCandidates;
+  int most_recorded = 16;  // kCandidates: so many of those that were not registered
   IncrementalOptions solver;
   LogSink log;  // log.h; the solver's too, unless that has its own
 };
 
-// Measures T_candidate_current, given in either direction; nullopt when the two do not match.
+// Measures T_candidate_current, given in either direction; nullopt when the two do not match. An empty function
+// registers nothing.
 template <class Pose>
 using Registration = std::function<std::optional<RelativePoseFactor<Pose>>(PoseId candidate, PoseId current)>;
 
@@ -52,8 +68,12 @@ struct CompactInput {
   std::optional<Pose> T_world_body = std::nullopt;  // of the first pose (default identity) and of fixed ones
   bool fixed = false;                               // kept, and anchored at T_world_body
   std::vector<Factor<Pose>> priors;                 // on this pose; a pose with priors is kept
+  // Loops measured already, from this pose to earlier ones, kept or dropped, in either direction; if they are given,
+  // nothing else is registered. One to a dropped pose is carried to the kept pose which that hangs on. Each is used
+  // once.
+  std::optional<std::vector<RelativePoseFactor<Pose>>> loops = std::nullopt;
   // The poses known to be linkable, if known: kApal and kRfpfl register these (twice if named twice) instead of
-  // searching.
+  // searching. Without `loops` only.
   std::optional<std::vector<PoseId>> linkable = std::nullopt;
   bool drawn = false;  // kRfpfl: keep it
 };

@@ -4,14 +4,20 @@
 //
 // For every new pose n:
 //  1. its odometry is concatenated over the poses dropped since the last kept one;
-//  2. kept poses within sensor range of n, given what is known of the displacement, are candidates (distance.h);
-//  3. they are ranked by the information a link would add (information.h) and registered, best first; a link whose
-//     measured gain exceeds min_loop_gain is added, and the rest is evaluated again;
+//  2. kept poses that may be within sensor range of n, given what is known of the displacement, are candidates
+//     (distance.h);
+//  3. they are ranked by the information that registering them promises (information.h, Eq. 18) and registered, best
+//     first, up to max_registrations; a link whose measured gain exceeds min_loop_gain is added, and the rest is
+//     evaluated again. Loops that came with n take the place of 2 and of the registration, and compete by their gain;
 //  4. n is kept if a loop closed, if nothing is in range, or if even the least informative possible link, the last kept
 //     pose among them, would add more than min_pose_gain; otherwise it is dropped and only its chain is remembered.
 //
 // A pose enters the solver when it is kept, so dropping one costs nothing. Until then its covariance and
 // cross-covariances follow, to first order, from those of the kept pose its chain hangs on.
+//
+// A loop to a dropped pose is carried to the kept pose which that one hangs on, along its chain. Where the chain would
+// cost more of what the loop tells than min_loop_gain the dropped pose comes back instead: the odometry that was
+// concatenated over it is split at it (Decision::revived).
 //
 // A link must first pass the innovation test (innovation.h): a wrong link has high information.
 //
@@ -68,7 +74,7 @@ class CompactPoseSlam {
   CompactPoseSlam(CompactPoseSlam&&) noexcept;
   CompactPoseSlam& operator=(CompactPoseSlam&&) noexcept;
 
-  Decision AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration);
+  Decision AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration = nullptr);
 
   // A link that comes late, between any two poses seen: carried to the kept poses (CarryToKept), then tested as those
   // of AddPose are. Throws std::invalid_argument for unknown poses, a defective link, or if both ends hang on the same
@@ -126,6 +132,7 @@ class CompactPoseSlam {
     // A dropped pose's chain as it ends at the next kept pose.
     std::optional<PoseId> next_kept;
     UncertainPose<Pose> T_base_next;
+    FactorId odometry;  // of a kept pose but the first: the factor that it came in with
   };
   struct Link {
     FactorId factor;
@@ -137,32 +144,53 @@ class CompactPoseSlam {
     PoseId candidate, seen;
     UncertainPose<Pose> T_candidate_seen;
   };
-  struct Evaluated;  // a candidate with its covariance
+  // A registration that failed.
+  struct Failed {
+    PoseId candidate, seen;
+  };
+  struct Revival;    // a dropped pose as it comes back
+  struct Offer;      // a loop that came with the pose at hand
+  struct Ask;        // a pose that may be linked
+  struct Evaluated;  // one with what is known of it
   struct Current;    // the pose at hand
 
   // compact_pose_slam.cpp
   void TakeOptions(const CompactOptions<Pose>& options);
   Current Start(const CompactInput<Pose>& input) const;
   void CheckPose(const CompactInput<Pose>& input) const;
-  void CloseLoops(Current& current, std::vector<Evaluated>& candidates, Decision& decision,
-                  const Registration<Pose>& registration);
-  bool TryLink(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
-               Candidate& record);
-  void LogLink(PoseId a, PoseId b, const Candidate& record, bool good) const;
   void LogVerdict(const Decision& decision) const;
-  void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
   void Judge(const Current& current, Decision& decision) const;
-  std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links);
+  std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links, const Revival* revival = nullptr);
   void Remember(const Current& current);
-  std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
-                                                   PoseId current) const;
   const Seen& Find(PoseId id) const;
   RelativePoseFactor<Pose> Carry(const RelativePoseFactor<Pose>& link, const Seen* from, const Seen* to) const;
+  // compact_loops.cpp
+  void TakeOffers(Current& current) const;
+  bool TakeOffer(PoseId current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
+  void Search(Current& current, Decision& decision, const Registration<Pose>& registration);
+  void CloseLoops(Current& current, std::vector<Evaluated> candidates, Decision& decision,
+                  const Registration<Pose>& registration);
+  void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
+  bool TryLink(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
+               Candidate& record);
+  bool Accept(Current& current, Evaluated& candidate, const RelativePoseFactor<Pose>& link, Decision& decision);
+  bool IsCostlyToCarry(const Offer& offer, const UncertainPose<Pose>& known) const;
+  std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
+                                                   PoseId current) const;
+  void LogLink(PoseId a, PoseId b, const Candidate& record, bool good) const;
+  std::vector<Failed> FailedNear(const Current& current) const;
+  bool IsNearFailed(const std::vector<Failed>& failed, PoseId candidate) const;
+  bool AreNeighbours(const Pose& T_world_a, const Pose& T_world_b) const;
+  // compact_revival.cpp
+  std::optional<Revival> PlanRevival(PoseId dropped) const;
+  void AddRevival(const Revival& revival, GraphUpdate<Pose>& update) const;
+  void Revive(const Revival& revival, const std::vector<FactorId>& ids);
   // compact_search.cpp
   void UpdateCovariances();
   void UpdateSearch(int base);
-  std::vector<int> InReach(const Current& current);
-  std::vector<Evaluated> Evaluate(const Current& current, const std::vector<int>& poses) const;
+  UncertainPose<Pose> KnownDisplacement(int pose, int base) const;
+  std::vector<Ask> InReach(const Current& current, bool plausible);
+  std::vector<Evaluated> Evaluate(const Current& current, const std::vector<Ask>& asks, bool plausible) const;
   // compact_map.cpp
   std::vector<PoseId> ComposedOf(const RelativePoseFactor<Pose>& edge) const;
   void TakeHistory(const CompactMap<Pose>& map);
@@ -177,12 +205,14 @@ class CompactPoseSlam {
 
   CompactOptions<Pose> options_;
   double most_innovation_ = 0;  // infinite without the test
+  double most_distance_ = 0;    // squared, of the range from the mean of a plausible displacement
   std::unique_ptr<IncrementalSolver<Pose>> solver_;
   std::unique_ptr<IncrementalMarginals<Pose>> marginals_;
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<Link> links_;                      // ascending factors
   std::vector<Refused> refused_;                 // the last ones
+  std::vector<Failed> failed_;                   // likewise
   bool searches_ = false;                        // covariances are kept with every change
   // Of all kept poses, as seen from them: the kept pose that the search was last made ready for, with covariances.
   std::vector<UncertainPose<Pose>> T_pose_base_;

@@ -12,14 +12,17 @@ namespace terse {
 struct Candidate {
   PoseId id;
   double probability = 0;  // smallest over the dimensions
-  double gain = 0;         // nats, with the expected link covariance
+  // Nats, with the expected link covariance; of a loop that came with the pose with its own.
+  double gain = 0;
+  bool measured = false;  // it is a loop that came with the pose
   bool tried = false;
   std::optional<double> measured_gain;  // nats, with the registered covariance; absent if registration failed
   std::optional<double> innovation;     // squared Mahalanobis distance (innovation.h); absent if it is not tested
   bool outlier = false;                 // the innovation is too large: not linked, whatever its gain
   bool supported = false;               // it was, but others agree with it (CompactOptions::consensus)
   bool accepted = false;
-  std::optional<FactorId> factor;  // if accepted: CompactPoseSlam::RemoveLink takes it
+  std::optional<FactorId> factor;      // if accepted: CompactPoseSlam::RemoveLink takes it
+  std::optional<PoseId> carried_from;  // the dropped pose that the loop was measured at
 };
 
 enum class PoseVerdict { kFirst, kAllKept, kLoopClosed, kPrior, kNothingInRange, kInformative, kRedundant, kDrawn };
@@ -27,15 +30,18 @@ const char* Name(PoseVerdict verdict);
 
 struct Decision {
   PoseId id;
-  // In the order they were settled, as last evaluated. With kApal and kRfpfl: what was registered, without
-  // probabilities and gains.
+  // In the order they were settled, as last evaluated; of those not tried the best by gain (CompactOptions::record).
+  // With kApal and kRfpfl: what was registered, without probabilities and gains.
   std::vector<Candidate> candidates;
+  int candidates_found = 0;  // all of them
   PoseVerdict verdict = PoseVerdict::kFirst;
   // Least gain among the possible links, before any was added, nats; absent when nothing was in range.
   std::optional<double> pose_gain;
   int registrations_tried = 0;
   int links_accepted = 0;
   int links_refused = 0;  // by the innovation test
+  // Poses dropped earlier that are kept from now on, because a loop of this pose leads to them.
+  std::vector<PoseId> revived;
   // All updates of the map in this step together (one per link that is added; with kApal one for all): whether any
   // opened the gate, the greatest gate value, sums of work. Absent if the pose was dropped.
   std::optional<StepReport> update;

@@ -52,6 +52,13 @@ template <class Pose>
 Vector<Displacement<Pose>::kSize> RangeProbabilities(const Displacement<Pose>& displacement,
                                                      const Vector<Displacement<Pose>::kSize>& range);
 
+// Squared Mahalanobis distance from the mean to the nearest displacement within the range: 0 if the mean is within it.
+// An angle of range pi or more, or one known to no better than a radian, which may lie anywhere on the circle, does not
+// count. `enough`: what is found to be at most this need not be the least.
+template <class Pose>
+double DistanceToRange(const Displacement<Pose>& displacement, const Vector<Displacement<Pose>::kSize>& range,
+                       double enough = 0);
+
 // An upper bound of the angle's RangeProbabilities for a mean in [-pi, pi] and any standard deviation up to `sigma`,
 // which may be infinite. Radians.
 double AngleProbabilityBound(double mean, double sigma, double range);

@@ -1,5 +1,6 @@
 #pragma once
-// A stored graph as the source of a compact run: its poses in order of arrival, its edges as the registration.
+// A stored graph as the source of a compact run: its poses in order of arrival, with their edges as loops that are
+// measured already.
 
 #include <cstdint>
 #include <map>
@@ -26,8 +27,8 @@ class GraphReplay {
   void DrawAtRandom(int poses, int links, std::uint64_t seed);
   int LinksOffered() const { return static_cast<int>(links_.size()); }
 
-  // The edge between the two, each edge once: a second call gives the next of several, then none. So one replay serves
-  // one run. Refers to this object.
+  // The file as a sensor, for inputs without their `loops`: the edge between the two, each edge once: a second call
+  // gives the next of several, then none. So one replay serves one such run. Refers to this object.
   Registration<Pose> AsRegistration();
 
   // A sensor range that covers every link (the odometry, if there are no links): 1.5 times the longest one's length

@@ -3,13 +3,10 @@
 //
 // An edge that names one new pose opens this pose: the edge is its odometry. Until it is closed it gathers its loops,
 // the edges to earlier poses, and its priors. The next edge that opens a pose closes it, or Flush(): it is then added
-// (CompactPoseSlam::AddPose), its loops answering as the registration.
+// with its loops (CompactInput::loops).
 //
-// A loop to a dropped pose is offered at the kept pose which that one hangs on. Where several loops lead to one kept
-// pose the search asks for the first, those measured at the kept pose itself before those carried to it; the others
-// follow as late links if it asked. An edge between two closed poses is a late link (AddLink), a prior on a closed pose
-// a late prior (AddPrior). A late link between poses that hang on one kept pose says nothing about the map: it is not
-// accepted.
+// An edge between two closed poses is a late link (AddLink), a prior on a closed pose a late prior (AddPrior). A late
+// link between poses that hang on one kept pose says nothing about the map: it is not accepted.
 //
 // The first pose is that of the first prior, or the `from` of the first edge.
 //
@@ -56,29 +53,22 @@ class MeasurementStream {
   void Fix(const std::vector<PoseId>& ids);
 
   // The pose at hand.
-  std::optional<PoseId> Open() const { return open_ ? std::optional<PoseId>(open_->input.id) : std::nullopt; }
+  std::optional<PoseId> Open() const { return open_ ? std::optional<PoseId>(open_->id) : std::nullopt; }
 
  private:
-  struct OpenPose {
-    CompactInput<Pose> input;
-    std::vector<RelativePoseFactor<Pose>> loops;
-  };
-  struct Offer;  // a loop where the search may find it
-
   std::vector<StreamOutcome> AddEdge(const RelativePoseFactor<Pose>& edge);
   LateLink LinkLate(const RelativePoseFactor<Pose>& edge);
   std::vector<StreamOutcome> AddPrior(const Factor<Pose>& prior);
-  OpenPose Prepare(PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry) const;
-  void OpenNext(OpenPose pose);
-  std::vector<Offer> MakeOffers() const;
+  CompactInput<Pose> Prepare(PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry) const;
+  void OpenNext(CompactInput<Pose> pose);
   std::vector<StreamOutcome> Close();
-  bool IsOpen(PoseId id) const { return open_ && open_->input.id == id; }
+  bool IsOpen(PoseId id) const { return open_ && open_->id == id; }
   bool IsKnown(PoseId id) const { return IsOpen(id) || slam_->HasSeen(id); }
   bool IsEmpty() const { return !open_ && slam_->PosesSeen() == 0; }
 
   CompactPoseSlam<Pose>* slam_;
   // All that a snapshot of the stream would have to hold besides `slam`.
-  std::optional<OpenPose> open_;
+  std::optional<CompactInput<Pose>> open_;
   std::map<PoseId, Pose> values_;  // of poses to come
   std::set<PoseId> fixed_;         // likewise
 };

@@ -1,0 +1,102 @@
+// Dropped poses that come back: a composed edge of the odometry is split where a loop leads to.
+//
+// Covariances of a chain add up (Sigma_bc = Ad(T_cb) Sigma_ab Ad(T_cb)' + Sigma_bc), so the part behind a pose follows
+// by subtraction from what is remembered of the whole; nothing of single odometry edges is stored.
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
+#include "compact_pose_slam_parts.h"
+
+namespace terse {
+namespace {
+
+using std::size_t;
+constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+// The chain from `middle` on, of one from `start` through `middle`. Absent where nothing but rounding is left.
+template <class Pose>
+std::optional<UncertainPose<Pose>> Behind(const UncertainPose<Pose>& T_start_middle,
+                                          const UncertainPose<Pose>& T_start_end) {
+  using Jacobian = typename Pose::Jacobian;
+  UncertainPose<Pose> out;
+  out.T_a_b = T_start_middle.T_a_b.Inverse() * T_start_end.T_a_b;
+  const Jacobian A = out.T_a_b.Inverse().Adjoint();
+  const Jacobian before = A * T_start_middle.covariance * A.transpose();
+  const Jacobian rest = T_start_end.covariance - before;
+  out.covariance = (rest + rest.transpose()) / 2;
+  // As seen by the whole: each direction keeps a share of its variance that is no rounding.
+  const Eigen::LLT<Jacobian> whole(T_start_end.covariance);
+  if (whole.info() != Eigen::Success) return std::nullopt;
+  const Jacobian left = whole.matrixL().solve(out.covariance);
+  const Jacobian share = whole.matrixL().solve(left.transpose());
+  const Eigen::MatrixXd symmetric = (share + share.transpose()) / 2;
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> shares(symmetric, Eigen::EigenvaluesOnly);
+  if (!(shares.eigenvalues()[0] > 1e-9)) return std::nullopt;
+  return out;
+}
+
+}  // namespace
+
+// Absent for a pose that is kept, whose chain has not ended at a kept pose, or cannot be split.
+template <class Pose>
+std::optional<typename CompactPoseSlam<Pose>::Revival> CompactPoseSlam<Pose>::PlanRevival(PoseId dropped) const {
+  const Seen& seen = Find(dropped);
+  if (seen.kept || !seen.next_kept) return std::nullopt;
+  const auto behind = Behind(seen.T_base_pose, seen.T_base_next);
+  const FactorId edge = Find(*seen.next_kept).odometry;
+  const FactorNode<Pose>* node = solver_->Graph().FindFactor(edge);
+  if (!behind || node == nullptr) return std::nullopt;
+  const FactorPoses ends = PosesOf(node->factor);
+  const bool joins = (ends.first == seen.base && ends.second == *seen.next_kept) ||
+                     (ends.second == seen.base && ends.first == *seen.next_kept);
+  if (!joins) return std::nullopt;
+  return Revival{dropped, seen.base, *seen.next_kept, seen.T_base_pose, *behind, edge};
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::AddRevival(const Revival& revival, GraphUpdate<Pose>& update) const {
+  update.poses.push_back({revival.pose, Estimate(revival.pose), false});
+  update.factors.push_back(Measurement(revival.base, revival.pose, revival.T_base_pose, options_.composition));
+  update.factors.push_back(Measurement(revival.pose, revival.next, revival.T_pose_next, options_.composition));
+  update.removed.push_back(revival.replaced);
+}
+
+// After the update: `ids` of its first factors. Poses of the chain hang on the nearer of its parts.
+template <class Pose>
+void CompactPoseSlam<Pose>::Revive(const Revival& revival, const std::vector<FactorId>& ids) {
+  Seen& pose = history_[At(index_.at(revival.pose.value))];
+  Seen& next = history_[At(index_.at(revival.next.value))];
+  next.odometry = ids[1];
+  for (int k = next.previous; history_[At(k)].id != revival.pose; k = history_[At(k)].previous) {
+    Seen& seen = history_[At(k)];
+    const auto behind = Behind(revival.T_base_pose, seen.T_base_pose);
+    const Pose T_pose_seen = revival.T_base_pose.T_a_b.Inverse() * seen.T_base_pose.T_a_b;
+    seen.base = revival.pose;
+    // Where only rounding is left, the two are one.
+    seen.T_base_pose = behind.value_or(UncertainPose<Pose>{T_pose_seen});
+    seen.T_base_next = revival.T_pose_next;
+  }
+  for (int k = pose.previous; !history_[At(k)].kept; k = history_[At(k)].previous) {
+    Seen& seen = history_[At(k)];
+    if (seen.next_kept != revival.next) continue;
+    seen.next_kept = revival.pose;
+    seen.T_base_next = revival.T_base_pose;
+  }
+  pose.kept = true;
+  pose.base = revival.pose;
+  pose.T_base_pose = {};
+  pose.next_kept.reset();
+  pose.T_base_next = {};
+  pose.odometry = ids[0];
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                            \
+  template std::optional<CompactPoseSlam<Pose>::Revival> CompactPoseSlam<Pose>::PlanRevival(PoseId) const; \
+  template void CompactPoseSlam<Pose>::AddRevival(const Revival&, GraphUpdate<Pose>&) const;               \
+  template void CompactPoseSlam<Pose>::Revive(const Revival&, const std::vector<FactorId>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse
