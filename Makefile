@@ -106,7 +106,7 @@ format: ## format all sources
 
 format-check: ## fail if a source is not formatted
 	@.ci/packages clang-format
-	@clang-format --dry-run -Werror $(sources)
+	@printf '%s\n' $(sources) | xargs -n 16 -P $(JOBS) clang-format --dry-run -Werror
 
 clean: ## remove all that was built
 	@rm -rf build build-debug build-asan build-tidy build-bench

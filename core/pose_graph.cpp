@@ -1,13 +1,13 @@
 #include "terse/core/pose_graph.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <locale>
 #include <sstream>
 #include <stdexcept>
 
+#include "symmetric_eigen.h"
 #include "terse/core/residual.h"
 
 namespace terse {
@@ -33,10 +33,9 @@ std::string FindDefectIn(const std::string& name, const Measurement& measurement
   }
   const Eigen::Matrix<double, N, N> aligned = information;
   if (aligned.llt().info() != Eigen::Success) {
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, N, N>> eigen(aligned, Eigen::EigenvaluesOnly);
     std::ostringstream smallest;
     smallest.imbue(std::locale::classic());
-    smallest << eigen.eigenvalues()[0];
+    smallest << DecomposeSymmetric(aligned).values[0];
     return name + ": the information is not positive definite, its smallest eigenvalue is " + smallest.str();
   }
   return "";

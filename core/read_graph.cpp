@@ -1,8 +1,9 @@
 #include "read_graph.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
+
+#include "symmetric_eigen.h"
 
 namespace terse {
 namespace {
@@ -13,10 +14,10 @@ template <class Information>
 void ClampEigenvalues(Information* information) {
   if (!information->allFinite()) return;
   constexpr double kTiny = 1e-12;  // for a matrix without any information
-  const Eigen::SelfAdjointEigenSolver<typename Information::PlainMatrix> eigen(*information);
-  const double floor = std::max(1e-9 * eigen.eigenvalues().maxCoeff(), kTiny);
-  const Information clamped =
-      eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(floor).asDiagonal() * eigen.eigenvectors().transpose();
+  const SymmetricEigen eigen = DecomposeSymmetric(*information);
+  const double floor = std::max(1e-9 * eigen.values.maxCoeff(), kTiny);
+  const Information vectors = eigen.vectors, values = eigen.values.cwiseMax(floor).asDiagonal();
+  const Information clamped = vectors * values * vectors.transpose();
   *information = 0.5 * (clamped + clamped.transpose());
 }
 
