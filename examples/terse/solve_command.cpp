@@ -127,6 +127,7 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
   BatchOptions finish;
   finish.threads = options.threads;
   BatchResult<Pose> result = solver.Finish(finish);
+  stats.more["restarts"] = solver.Restarts();
   // From the solver's order of poses to the graph's.
   std::vector<Pose> values;
   for (const auto& node : graph.Poses()) {
