@@ -50,6 +50,7 @@ void Accumulate(const StepReport& update, std::optional<StepReport>& sum) {
   s.predicted_decrease += update.predicted_decrease;
   s.actual_decrease += update.actual_decrease;
   s.gain_nats += update.gain_nats;
+  s.restarted = s.restarted || update.restarted;
   s.deferred_relinearisations = update.deferred_relinearisations;
   s.deferred_fronts = update.deferred_fronts;
   s.flops += update.flops;

@@ -53,8 +53,10 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
     PlanAnchor(update, plan);
   }
   const GateValues before = ValuesForGate();
+  const double minimum_before = LinearMinimum();
   AddToFactor(update, plan, report);
   if (IsRobust()) AdmitNewLoops(plan, report);
+  const double minimum_after = LinearMinimum();
   DecideGate(update, plan, before, report);
   const bool report_cost = options_.report_cost && options_.carry == Carry::kOffset;
   if (report_cost) report.actual_decrease = TimedChi2(report);
@@ -68,6 +70,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
     OptimizeOffsets(start, report);
   }
   if (IsRobust()) ReviewLoops(start, report);
+  if (MayRestart()) WatchStep(minimum_before, minimum_after, report);
   if (report_cost) report.actual_decrease -= TimedChi2(report);
   report.seconds += std::chrono::duration<double>(Clock::now() - start).count();
   LogStep(update, report, was_deferred);
@@ -182,11 +185,6 @@ double IncrementalSolver<Pose>::Chi2() const {
 }
 
 template <class Pose>
-BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
-  return FinishFrom(Estimates(), options);
-}
-
-template <class Pose>
 BatchResult<Pose> IncrementalSolver<Pose>::FinishFrom(const std::vector<Pose>& T_world_body,
                                                       const BatchOptions& given) {
   BatchOptions options = given;
@@ -196,21 +194,7 @@ BatchResult<Pose> IncrementalSolver<Pose>::FinishFrom(const std::vector<Pose>& T
   if (result.termination == Termination::kNotPositiveDefinite) return result;
   if (IsRobust()) TakeWeights(result.weights);
   // The factor of this solver moves to the optimum too: every linearisation point changes.
-  typename BlockCholesky<B>::Changes changes;
-  const auto point = [&](int v) -> const Pose& { return result.T_world_body[At(v)]; };
-  for (int slot = 0; slot < static_cast<int>(factor_of_slot_.size()); ++slot) {
-    if (factor_.FactorAt(slot).first >= 0) changes.replaced.emplace_back(slot, LinearizeSlot(slot, point));
-  }
-  if (!factor_.Update(std::move(changes)).ok) throw NumericalError("the system is singular at the optimum");
-  linearization_points_ = result.T_world_body;
-  for (int v = 0; v < factor_.Variables(); ++v) factor_.ClearSolution(v);
-  RecountCosts();
-  ForgetErrors();
-  deferred_ = false;
-  if (options_.carry == Carry::kOffset) {
-    StepReport report;
-    BackSubstitute(std::nullopt, report);
-  }
+  if (!MoveTo(result.T_world_body)) throw NumericalError("the system is singular at the optimum");
   return result;
 }
 

@@ -6,6 +6,7 @@
 #include "adjacency.h"
 #include "chordal.h"
 #include "terse/core/arrival.h"
+#include "terse/core/start_values.h"
 
 namespace terse {
 namespace {
@@ -110,9 +111,21 @@ void MoveTo(const Pose& T_new_old, std::vector<Pose>& values) {
 
 }  // namespace
 
+const char* Name(InitialValues method) {
+  switch (method) {
+    case InitialValues::kCompose: return "compose";
+    case InitialValues::kFile: return "file";
+    case InitialValues::kTree: return "tree";
+    case InitialValues::kChordal: return "chordal";
+    case InitialValues::kAuto: return "auto";
+  }
+  return "unknown";
+}
+
 template <class Pose>
 std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValues method) {
   if (method == InitialValues::kFile) return FileValues(graph);
+  if (method == InitialValues::kAuto && !graph.Poses().empty()) return ChooseStart(graph).T_world_body;
   if (graph.Poses().empty()) return {};
   const std::vector<int> by_id = internal::PosesById(graph);
   const Tree tree = BreadthFirst(graph, by_id[0]);

@@ -16,7 +16,7 @@ using namespace terse;
 template <class Pose>
 void Solve(const PoseGraph<Pose>& graph, const std::string& output) {
   // The values in a file may be missing or far off: compose the odometry instead.
-  const auto initial = ComputeInitialValues(graph, InitialValues::kCompose);
+  const auto initial = ComputeInitialValues(graph, InitialValues::kAuto);
   BatchOptions options;
   options.progress = [](int iteration, double chi2) {
     std::printf("  iteration %d: chi2 %.6g\n", iteration, chi2);

@@ -15,7 +15,7 @@ using namespace terse;
 
 int main(int argc, char** argv) try {
   const auto graph = std::get<PoseGraph<SE3>>(ReadGraph(argc > 1 ? argv[1] : "data/ellipse.g2o").graph);
-  const auto solved = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kCompose));
+  const auto solved = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
   if (!solved.Converged()) std::printf("not converged: %s\n", solved.message.c_str());
 
   // The factor of the last iteration holds all of this; nothing is factored again.

@@ -135,6 +135,8 @@ void BindStepReport(py::module_& module) {
                     "Of chi2; filled in if IncrementalOptions.report_cost, and always with carry 'point'.")
       .def_readonly("gain_nats", &StepReport::gain_nats,
                     "What the new measurements tell about the poses known before, nats.")
+      .def_readonly("restarted", &StepReport::restarted,
+                    "The map left a wrong minimum for a lower one (IncrementalOptions.restart).")
       .def_readonly("deferred_relinearisations", &StepReport::deferred_relinearisations, "Poses left to later steps.")
       .def_readonly("deferred_fronts", &StepReport::deferred_fronts, "Subtrees left to later steps.")
       .def_readonly("flops", &StepReport::flops, "Of the factorisation.")

@@ -59,6 +59,8 @@ void BindIncrementalOptions(py::module_& module) {
                      "Of the anchor of the first pose; None: 1e8 where no priors fix the frame.")
       .def_readwrite("reweigh_tolerance", &IncrementalOptions::reweigh_tolerance,
                      "Share of chi2 by which a factor's cost changes before its weight is brought up to date.")
+      .def_readwrite("restart", &IncrementalOptions::restart,
+                     "'offset': where the map seems to sit in a wrong minimum, try a chordal relaxation of the graph.")
       .def_readwrite("threads", &IncrementalOptions::threads, "At most; the result is the same for any number.")
       .def_readwrite("report_cost", &IncrementalOptions::report_cost, "Fill in StepReport.actual_decrease.")
       .def_property(

@@ -4,7 +4,7 @@
 
 #include "bindings.h"
 #include "names.h"
-#include "terse/core/initial_values.h"
+#include "terse/core/start_values.h"
 #include "values.h"
 
 namespace terse::python {
@@ -16,11 +16,14 @@ decltype(auto) Visit(const Solution& solution, F&& f) {
 }
 
 template <class Pose>
-std::vector<Pose> InitialFrom(const PoseGraph<Pose>& graph, const py::object& initial) {
+std::vector<Pose> InitialFrom(const PoseGraph<Pose>& graph, const py::object& initial, const BatchOptions& options) {
   if (!py::isinstance<py::str>(initial)) return PosesFrom<Pose>(initial.cast<Array>(), "initial");
-  const auto method = FromWord<InitialValues>(initial.cast<std::string>());
+  auto method = FromWord<InitialValues>(initial.cast<std::string>());
   const py::gil_scoped_release release;
-  return ComputeInitialValues(graph, method);
+  if (method != InitialValues::kAuto || graph.Poses().empty()) return ComputeInitialValues(graph, method);
+  // Loops that may be wrong bend a relaxation.
+  if (options.robust.kernel != RobustKernel::kNone) return ComputeInitialValues(graph, InitialValues::kCompose);
+  return ChooseStart(graph, {options.threads, {}}).T_world_body;
 }
 
 Solution Solve(const Graph& graph, const py::object& initial, const std::string& method, int max_iterations,
@@ -38,7 +41,7 @@ Solution Solve(const Graph& graph, const py::object& initial, const std::string&
   const auto shared = graph.Share();
   return std::visit(
       [&](const auto& g) {
-        const auto start = InitialFrom(g, initial);
+        const auto start = InitialFrom(g, initial, options);
         const py::gil_scoped_release release;
         return MakeSolution(SolveBatch(g, start, options), shared);
       },
@@ -47,7 +50,7 @@ Solution Solve(const Graph& graph, const py::object& initial, const std::string&
 
 py::array InitialOf(const Graph& graph, const std::string& method) {
   const auto shared = graph.Share();
-  return std::visit([&](const auto& g) { return ArrayOf(InitialFrom(g, py::str(method))); }, *shared);
+  return std::visit([&](const auto& g) { return ArrayOf(InitialFrom(g, py::str(method), {})); }, *shared);
 }
 
 std::shared_ptr<Marginals> MarginalsOf(Solution& solution) {
@@ -159,13 +162,13 @@ void BindSolve(py::module_& module) {
       .def("__repr__",
            [](const Solution& s) { return Visit(s, [](auto& r) { return "<terse.Solution: " + r.message + ">"; }); });
   module.def(
-      "solve", &Solve, py::arg("graph"), py::kw_only(), py::arg("initial") = "compose",
+      "solve", &Solve, py::arg("graph"), py::kw_only(), py::arg("initial") = "auto",
       py::arg("method") = "levenberg_marquardt", py::arg("max_iterations") = 200, py::arg("relative_tolerance") = 1e-11,
       py::arg("robust") = "none", py::arg("robust_width") = 0.0, py::arg("threads") = 1,
       py::arg("progress") = py::none(),
       "Minimises chi2 over all poses of a PoseGraph, which is not changed (Solution).\n\n"
       "initial: 'compose' (pose by pose, as they would have come in), 'file' (the graph's values), 'tree', 'chordal' "
-      "(for much noise), or T_world_body in the order of graph.ids, (n, 3), (n, 7) or (n, 4, 4).\n"
+      "(for much noise), 'auto' (the best of compose, file and chordal after a few steps; with robust, compose), or T_world_body in the order of graph.ids, (n, 3), (n, 7) or (n, 4, 4).\n"
       "method: 'levenberg_marquardt' or 'gauss_newton'.\n"
       "relative_tolerance: converged when a step lowers the cost by less than this share of it.\n"
       "robust: the cost of loops, which may be wrong: 'none', 'huber', 'cauchy', 'tukey', 'dcs' or 'gnc'; "

@@ -27,8 +27,8 @@ struct Words;
 
 TERSE_WORDS(RotationInformation, "rotation_information", {"quaternion", RotationInformation::kQuaternion},
             {"radians", RotationInformation::kRadians});
-TERSE_WORDS(InitialValues, "initial", {"compose", InitialValues::kCompose}, {"file", InitialValues::kFile},
-            {"tree", InitialValues::kTree}, {"chordal", InitialValues::kChordal});
+TERSE_WORDS(InitialValues, "initial", {"auto", InitialValues::kAuto}, {"compose", InitialValues::kCompose},
+            {"file", InitialValues::kFile}, {"tree", InitialValues::kTree}, {"chordal", InitialValues::kChordal});
 TERSE_WORDS(Method, "method", {"levenberg_marquardt", Method::kLevenbergMarquardt},
             {"gauss_newton", Method::kGaussNewton});
 TERSE_WORDS(RobustKernel, "robust", {"none", RobustKernel::kNone}, {"huber", RobustKernel::kHuber},

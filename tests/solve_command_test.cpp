@@ -81,7 +81,7 @@ TEST_F(SolveCommand, EqualsTheLibrary) {
   MakeScene("manhattan");
   Succeed("solve in.g2o --output out.g2o --stats stats.json");
   const auto in = ReadAs<SE2>("in.g2o");
-  const auto expected = SolveBatch(in, ComputeInitialValues(in, InitialValues::kCompose));
+  const auto expected = SolveBatch(in, ComputeInitialValues(in, InitialValues::kAuto));
   EXPECT_EQ(JsonFile("stats.json")["chi2"].get<double>(), expected.chi2) << "the same code, bit by bit";
   const auto out = ReadAs<SE2>("out.g2o");
   ASSERT_EQ(out.Factors().size(), in.Factors().size());
@@ -89,6 +89,29 @@ TEST_F(SolveCommand, EqualsTheLibrary) {
     EXPECT_EQ(out.Poses()[k].id, in.Poses()[k].id);
     EXPECT_LT(out.Poses()[k].T_world_body->Local(expected.T_world_body[k]).norm(), 1e-12);
   }
+}
+
+TEST_F(SolveCommand, StatsSayWhichStartWentOn) {
+  MakeScene("manhattan");
+  Succeed("solve in.g2o --stats stats.json");
+  const auto initial = JsonFile("stats.json")["initial"];
+  EXPECT_EQ(initial["chosen_by"], "auto");
+  ASSERT_EQ(initial["compared"].size(), 4U);
+  double lowest = 1e300, chosen = 0;
+  for (const auto& trial : initial["compared"]) {
+    if (trial.contains("unavailable")) continue;
+    EXPECT_LE(trial["cost"].get<double>(), trial["cost_at_start"].get<double>());
+    lowest = std::min(lowest, trial["cost"].get<double>());
+    if (trial["method"] == initial["method"]) chosen = trial["cost"];
+  }
+  EXPECT_EQ(chosen, lowest);
+  Succeed("solve in.g2o --initial tree --stats stats.json");
+  EXPECT_EQ(JsonFile("stats.json")["initial"]["method"], "tree");
+  EXPECT_EQ(JsonFile("stats.json")["initial"]["chosen_by"], "option");
+  Succeed("solve in.g2o --robust dcs --stats stats.json");
+  EXPECT_EQ(JsonFile("stats.json")["initial"]["method"], "compose");
+  Succeed("solve in.g2o --mode incremental --initial auto --stats stats.json");
+  EXPECT_EQ(JsonFile("stats.json")["restarts"], 0);
 }
 
 TEST_F(SolveCommand, EveryModeAndStartAgrees) {

@@ -204,6 +204,7 @@ Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const
   stats.more["links_offered"] = run.links_offered;
   stats.more["registrations_tried"] = run.registrations_tried;
   stats.more["links_refused"] = run.links_refused;
+  stats.more["restarts"] = run.slam.Solver().Restarts();
   nlohmann::ordered_json thresholds = ThresholdsToJson(run.slam.Options());
   thresholds.erase("link_covariance");
   stats.more["thresholds"] = std::move(thresholds);

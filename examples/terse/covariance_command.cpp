@@ -7,6 +7,7 @@
 #include "covariance_output.h"
 #include "progress.h"
 #include "report.h"
+#include "start.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/initial_values.h"
 #include "terse/covariance/marginals.h"
@@ -82,16 +83,13 @@ Point<Pose> SolvedPoint(const PoseGraph<Pose>& graph, const CovarianceCommandOpt
     progress.Update(iteration);
     return true;
   };
-  BatchResult<Pose> result = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kCompose), batch);
+  nlohmann::ordered_json start;
+  BatchResult<Pose> result = SolveBatch(graph, StartValues(graph, InitialValues::kAuto, batch, start), batch);
   if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
     throw NumericalError(result.message);
   }
   if (!options.quiet) {
     if (!result.Converged()) std::cerr << "terse: warning: not converged: " << result.message << '\n';
-    if (result.iterations > 30) {  // good starts take about ten
-      std::cerr << "terse: warning: so many iterations often end in a local minimum; compare with the covariances of "
-                   "what solve --initial chordal --output writes\n";
-    }
   }
   return {std::move(result.T_world_body), std::move(result.factor)};
 }

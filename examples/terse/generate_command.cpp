@@ -152,7 +152,7 @@ void GenerateScene(const GenerateCommandOptions& options) {
 // A file has no truth; its optimum, without the wrong loops, is the best known.
 template <class Pose>
 std::vector<Pose> Optimum(const PoseGraph<Pose>& graph) {
-  BatchResult<Pose> result = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kChordal));
+  BatchResult<Pose> result = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
   if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
     throw NumericalError(result.message);
   }

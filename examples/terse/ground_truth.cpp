@@ -140,13 +140,7 @@ std::vector<Pose> ReadTruth(const PoseGraph<Pose>& graph, const std::string& pat
 
 template <class Pose>
 BatchResult<Pose> BatchOptimum(const PoseGraph<Pose>& graph) {
-  const auto& poses = graph.Poses();
-  BatchResult<Pose> best = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kChordal));
-  if (std::all_of(poses.begin(), poses.end(), [](const auto& node) { return node.T_world_body.has_value(); })) {
-    BatchResult<Pose> other = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kFile));
-    // Of two equal ones that of the file's values: its frame is the file's.
-    if (other.Converged() && (!best.Converged() || other.chi2 <= best.chi2)) best = std::move(other);
-  }
+  BatchResult<Pose> best = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
   if (!best.Converged()) throw NumericalError("no batch optimum to compare with: " + best.message);
   return best;
 }

@@ -8,6 +8,7 @@
 #include "policy.h"
 #include "progress.h"
 #include "report.h"
+#include "start.h"
 #include "step_covariances.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
@@ -27,7 +28,7 @@ struct SolveOptions {
   std::string path, output, trajectory, covariance_output, stats, steps;
   ReadOptions read;
   Mode mode = Mode::kBatch;
-  InitialValues initial = InitialValues::kCompose;
+  InitialValues initial = InitialValues::kAuto;  // the incremental mode composes
   ArrivalUnit every = ArrivalUnit::kPose;
   Covariances covariances = Covariances::kNone;
   CovarianceConvention convention;
@@ -83,7 +84,8 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
     progress.Update(iteration);
     return true;
   };
-  BatchResult<Pose> result = SolveBatch(graph, ComputeInitialValues(graph, options.initial), batch);
+  const std::vector<Pose> initial = StartValues(graph, options.initial, batch, stats.more);
+  BatchResult<Pose> result = SolveBatch(graph, initial, batch);
   stats.step_seconds.push_back(SecondsNow() - start);
   return result;
 }
@@ -125,6 +127,7 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
   BatchOptions finish;
   finish.threads = options.threads;
   BatchResult<Pose> result = solver.Finish(finish);
+  stats.more["restarts"] = solver.Restarts();
   // From the solver's order of poses to the graph's.
   std::vector<Pose> values;
   for (const auto& node : graph.Poses()) {
@@ -252,8 +255,8 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
   if (!stats.converged && !options.quiet) std::cerr << "terse: warning: not converged: " << result.message << '\n';
   // Good starts take about ten iterations.
   if (options.mode == Mode::kBatch && options.robust.kernel == RobustKernel::kNone &&
-      options.initial != InitialValues::kChordal && stats.iterations > 30 && !options.quiet) {
-    std::cerr << "terse: warning: so many iterations often end in a local minimum; compare with --initial chordal\n";
+      options.initial != InitialValues::kAuto && stats.iterations > 30 && !options.quiet) {
+    std::cerr << "terse: warning: so many iterations often end in a local minimum; compare with --initial auto\n";
   }
 }
 
@@ -331,8 +334,8 @@ void CheckUsage(SolveOptions& options, const std::vector<CLI::Option*>& step_opt
   if (options.paper_flops && (options.policy == Policy::kDefault || options.steps.empty())) {
     throw CLI::ValidationError("--paper-flops", "needs --steps and a --policy other than default");
   }
-  const bool composed = options.initial == InitialValues::kCompose || options.initial == InitialValues::kFile;
-  if (options.mode == Mode::kIncremental && !composed) {
+  const bool relaxed = options.initial == InitialValues::kTree || options.initial == InitialValues::kChordal;
+  if (options.mode == Mode::kIncremental && relaxed) {
     throw CLI::ValidationError("--initial", "the incremental mode takes compose or file");
   }
   if (!options.covariance_output.empty() && options.covariances == Covariances::kNone) {
@@ -360,12 +363,14 @@ void AddSolveCommand(CLI::App& app) {
   AddChoice(*command, "--mode", options->mode, {{"batch", Mode::kBatch}, {"incremental", Mode::kIncremental}},
             "All at once, or pose by pose as it would have come in online");
   AddChoice(*command, "--initial", options->initial,
-            {{"compose", InitialValues::kCompose},
+            {{"auto", InitialValues::kAuto},
+             {"compose", InitialValues::kCompose},
              {"file", InitialValues::kFile},
              {"tree", InitialValues::kTree},
              {"chordal", InitialValues::kChordal}},
             "Initial values: composed in order of arrival, the file's, along a spanning tree, or by chordal relaxation "
-            "(for much noise); the incremental mode takes the first two");
+            "(for much noise); auto: the best of composed, file and chordal after a few steps, with --robust composed. "
+            "The incremental mode takes compose (which auto is there) or file");
   AddChoice(*command, "--every", options->every, {{"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge}},
             "What a step of the incremental mode brings: a pose with all its edges, or a single edge");
   const std::vector<CLI::Option*> step_options = AddStepOptions(*command, *options);

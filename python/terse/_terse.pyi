@@ -333,7 +333,7 @@ class IncrementalOptions:
         relinearize_radians: float = ..., relinearize_interval: int = ..., propagation_tolerance: float = ...,
         max_iterations: int = ..., step_metres: float = ..., step_radians: float = ..., partial: bool = ...,
         partial_neighbours: bool = ..., guard: bool = ..., budget_seconds: float = ..., anchor_information:
-        Optional[float] = ..., reweigh_tolerance: float = ..., threads: int = ..., report_cost: bool = ...,
+        Optional[float] = ..., reweigh_tolerance: float = ..., restart: bool = ..., threads: int = ..., report_cost: bool = ...,
         robust: Robust = ..., robust_width: float = ...,
     ) -> None: ...
     @property
@@ -408,6 +408,10 @@ class IncrementalOptions:
     def reweigh_tolerance(self) -> float: ...
     @reweigh_tolerance.setter
     def reweigh_tolerance(self, value: float) -> None: ...
+    @property
+    def restart(self) -> bool: ...
+    @restart.setter
+    def restart(self, value: bool) -> None: ...
     @property
     def threads(self) -> int: ...
     @threads.setter
@@ -631,6 +635,8 @@ class StepReport:
     @property
     def gain_nats(self) -> float: ...
     @property
+    def restarted(self) -> bool: ...
+    @property
     def deferred_relinearisations(self) -> int: ...
     @property
     def deferred_fronts(self) -> int: ...
@@ -688,7 +694,7 @@ def evaluate(
     "se3", kitti: bool = False, threads: int = 0,
 ) -> Evaluation: ...
 def initial_values(
-    graph: PoseGraph, method: Literal["compose", "file", "tree", "chordal"] = "compose",
+    graph: PoseGraph, method: Literal["auto", "compose", "file", "tree", "chordal"] = "compose",
 ) -> Floats: ...
 def read_graph(
     path: PathLike, *, rotation_information: RotationInformation = "quaternion", repair_information: bool =
@@ -709,7 +715,7 @@ def select_thresholds(
     Optional[Callable[[int, int], object]] = None,
 ) -> Thresholds: ...
 def solve(
-    graph: PoseGraph, *, initial: Union[Literal["compose", "file", "tree", "chordal"], ArrayLike] = "compose",
+    graph: PoseGraph, *, initial: Union[Literal["auto", "compose", "file", "tree", "chordal"], ArrayLike] = "auto",
     method: Method = "levenberg_marquardt", max_iterations: int = 200, relative_tolerance: float = 1e-11,
     robust: Robust = "none", robust_width: float = 0.0, threads: int = 1, progress: Optional[Callable[[int,
     float], Optional[bool]]] = None,

@@ -55,7 +55,7 @@ def test_initial_values():
         assert terse.solve(graph, initial=start).chi2 == pytest.approx(solution.chi2, rel=1e-8)
     with pytest.raises(ValueError):  # there are no values in the graph
         terse.solve(graph, initial="file")
-    with pytest.raises(ValueError, match="initial: expected one of compose, file, tree, chordal, got 'best'"):
+    with pytest.raises(ValueError, match="initial: expected one of auto, compose, file, tree, chordal, got 'best'"):
         terse.solve(graph, initial="best")
 
 

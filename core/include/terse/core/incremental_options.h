@@ -86,6 +86,10 @@ struct IncrementalOptions {
   RobustOptions robust;
   double reweigh_tolerance = 1e-4;
 
+  // A step after which the map seems to sit in a wrong minimum, and Finish, try a chordal relaxation of the graph and go
+  // on from there if it costs less (incremental_restart.cpp). kOffset, without a robust kernel.
+  bool restart = true;
+
   // At most, and only where a step's work is large; the result is the same to the last bit for any number.
   int threads = 1;
 
@@ -121,6 +125,7 @@ struct StepReport {
   double predicted_decrease = 0;  // of chi2 by this step, linearised; kPoint: of the full step if the gate is open
   double actual_decrease = 0;     // of chi2; if report_cost, and always in kPoint
   double gain_nats = 0;           // of the new factors about the poses known before; less the anchor's if it changes
+  bool restarted = false;         // the map went over to another, lower minimum (IncrementalOptions::restart)
   int deferred_relinearisations = 0;
   int deferred_fronts = 0;  // subtrees that back-substitution left for later
   double flops = 0;         // factorisation: squared column counts, and 4 k times the entries for rank-k updates

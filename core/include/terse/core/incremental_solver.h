@@ -56,10 +56,14 @@ class IncrementalSolver {
   // Iterates to the batch optimum, which becomes the linearisation point; where the system turns out not to be positive
   // definite, nothing changes. The result's poses are in the order of Graph().Poses(). The kernel and the loops are
   // this solver's, whatever `options` says, the log unless it has its own; kGnc starts from the loops that are in, and
-  // graduates all of them besides if any is out, the lower cost of both winning.
+  // graduates all of them besides if any is out, the lower cost of both winning. Where a chordal relaxation of the
+  // graph costs less than the estimate, it starts from there (IncrementalOptions::restart).
   BatchResult<Pose> Finish(const BatchOptions& options = {});
-  // The same from other values than the estimates, by pose index.
+  // From these values and no others, by pose index.
   BatchResult<Pose> FinishFrom(const std::vector<Pose>& T_world_body, const BatchOptions& options = {});
+
+  // How often the map left a wrong minimum for a lower one (IncrementalOptions::restart), Finish included.
+  int Restarts() const { return static_cast<int>(watch_.restarts); }
 
   // Poses and living factors; the pose values in it are the initial ones.
   const PoseGraph<Pose>& Graph() const { return graph_; }
@@ -172,6 +176,15 @@ class IncrementalSolver {
   void SetWeight(int slot, double weight);
   bool RetryParked(StepReport& report);
   void ReviewLoops(Clock::time_point start, StepReport& report);
+  // incremental_restart.cpp: wrong minima.
+  bool MayRestart() const { return options_.restart && options_.carry == Carry::kOffset && !IsRobust(); }
+  void WatchStep(double minimum_before, double minimum_after, StepReport& report);
+  bool SeemsTrapped() const;
+  void RestartIfLower(StepReport& report);
+  std::optional<std::vector<Pose>> RelaxedValues() const;
+  void TookRestart();
+  std::optional<BatchResult<Pose>> LowerMinimum(double cost, bool suspected, BatchOptions options) const;
+  bool MoveTo(const std::vector<Pose>& T_world_body);
   BatchResult<Pose> SolveRobustBatch(const std::vector<Pose>& T_world_body, BatchOptions options) const;
   void TakeWeights(const std::vector<double>& weights);
   // incremental_points.cpp: Carry::kPoint.
@@ -217,6 +230,14 @@ class IncrementalSolver {
   double seconds_per_flop_ = 1e-9;  // of relinearisation: measured, by the flops that were predicted
   bool deferred_ = false;           // work is left from earlier steps
   PhaseSeconds seconds_;
+  // What tells a wrong minimum.
+  struct Watch {
+    double explained = 0;  // sum of the innovations at arrival: what chi2 comes to if the residuals were linear
+    double corrected = 0;  // sum of the changes that relinearisation made to the linearised minimum, without sign
+    double cost_tried = 0;  // when a restart was last tried
+    long poses_tried = 0;
+    long restarts = 0;
+  } watch_;
   // Robust estimation; empty without a kernel.
   struct Parked {
     FactorId id;

@@ -25,9 +25,12 @@ enum class InitialValues {
   // CVPR 2007; Carlone et al., ICRA 2015). Good where the noise is large. Pose priors enter both problems. Without
   // any, position priors align the frame if they can; they enter the second problem in any case.
   kChordal,
+  // The best of the others, taken a few steps further (ChooseStart, start_values.h).
+  kAuto,
 };
+const char* Name(InitialValues method);  // compose, file, tree, chordal, auto
 
-// Pose values in the order of graph.Poses(). O(V + E) and, for kChordal, two sparse factorisations. Throws
+// Pose values in the order of graph.Poses(). O(V + E) and, for kChordal, sparse factorisations (kAuto: more). Throws
 // std::invalid_argument if the graph is not connected (not for kFile) or, for kFile, names the first pose
 // without a value; NumericalError if kChordal's systems are singular to rounding.
 template <class Pose>

@@ -87,11 +87,11 @@ template <class Archive>
 void Serialize(Archive& archive, IncrementalOptions& options) {
   auto& [carry, gate, gate_threshold, decrease_scale, relinearize_tolerance, relinearize_metres, relinearize_radians,
          relinearize_interval, propagation_tolerance, max_iterations, step_metres, step_radians, partial,
-         partial_neighbours, guard, budget_seconds, anchor_information, robust, reweigh_tolerance, threads, report_cost,
-         report_paper_flops, log] = options;  // the log is not stored
+         partial_neighbours, guard, budget_seconds, anchor_information, robust, reweigh_tolerance, restart, threads,
+         report_cost, report_paper_flops, log] = options;  // the log is not stored
   archive(carry, gate, gate_threshold, decrease_scale, relinearize_tolerance, relinearize_metres, relinearize_radians,
           relinearize_interval, propagation_tolerance, max_iterations, step_metres, step_radians, partial,
-          partial_neighbours, guard, budget_seconds, anchor_information, robust, reweigh_tolerance, threads,
+          partial_neighbours, guard, budget_seconds, anchor_information, robust, reweigh_tolerance, restart, threads,
           report_cost, report_paper_flops);
   if constexpr (Archive::kReads) {
     const std::string defect = FindDefect(options);

@@ -1,0 +1,18 @@
+#pragma once
+// Where the commands start a batch optimisation.
+
+#include <nlohmann/json.hpp>
+#include <vector>
+
+#include "terse/core/batch_solver.h"
+#include "terse/core/initial_values.h"
+
+namespace terse {
+
+// The initial values, and under "initial" in `stats` which they are; for kAuto, which is composed values with a robust
+// kernel, all that were compared too.
+template <class Pose>
+std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, const BatchOptions& options,
+                              nlohmann::ordered_json& stats);
+
+}  // namespace terse

@@ -1,0 +1,159 @@
+#include "terse/core/start_values.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "terse/core/batch_solver.h"
+#include "terse/core/generate.h"
+#include "testing_walk.h"
+
+namespace terse {
+namespace {
+
+using testing::NoisyWalk;
+using testing::WalkOptions;
+
+double Solved(const PoseGraph<SE2>& graph, InitialValues method) {
+  return SolveBatch(graph, ComputeInitialValues(graph, method)).chi2;
+}
+
+const StartTrial& TrialOf(const StartChoice<SE2>& choice, InitialValues method) {
+  return *std::find_if(choice.trials.begin(), choice.trials.end(),
+                       [&](const StartTrial& trial) { return trial.method == method; });
+}
+
+PoseGraph<SE2> Manhattan(long poses, std::uint64_t seed) {
+  GenerateOptions options;
+  options.scene = Scene::kManhattan;
+  options.poses = poses;
+  options.seed = seed;
+  PoseGraph<SE2> graph;
+  GenerateSink<SE2> sink;
+  sink.pose = [&](PoseId id, const SE2&) { graph.AddPose(id); };
+  sink.edge = [&](const RelativePoseFactor<SE2>& edge) { graph.AddFactor(edge); };
+  Generate(options, sink);
+  return graph;
+}
+
+TEST(StartValuesTest, GoodGraphsReachTheOptimumWithoutTryingEveryStart) {
+  for (const std::uint64_t seed : {1, 2, 3}) {
+    SCOPED_TRACE(seed);
+    const auto graph = Manhattan(1000, seed);
+    const auto choice = ChooseStart(graph);
+    EXPECT_EQ(choice.chosen, InitialValues::kChordal);
+    EXPECT_EQ(TrialOf(choice, InitialValues::kCompose).iterations, 0);
+    EXPECT_LE(TrialOf(choice, InitialValues::kChordal).iterations, 3);
+    const double best = std::min(Solved(graph, InitialValues::kChordal), Solved(graph, InitialValues::kCompose));
+    EXPECT_NEAR(Solved(graph, InitialValues::kAuto), best, 1e-6 * best);
+  }
+}
+
+// Where the starts end in different minima the chosen one is seldom beaten, and never by much.
+TEST(StartValuesTest, FarLoopsDoNotEndInTheComposedStartsMinimum) {
+  int different = 0, worse = 0;
+  for (const double radians : {0.05, 0.1, 0.15}) {
+    for (unsigned seed = 1; seed <= 8; ++seed) {
+      SCOPED_TRACE(::testing::Message() << radians << " rad, seed " << seed);
+      WalkOptions walk;
+      walk.seed = seed;
+      walk.radians_per_step = radians;
+      const auto graph = NoisyWalk(walk);
+      const double composed = Solved(graph, InitialValues::kCompose), chordal = Solved(graph, InitialValues::kChordal);
+      const double chosen = Solved(graph, InitialValues::kAuto), best = std::min(composed, chordal);
+      different += std::max(composed, chordal) > 1.01 * best;
+      worse += chosen > 1.01 * best;
+      EXPECT_LE(chosen, 1.5 * best);
+    }
+  }
+  EXPECT_GE(different, 3) << "the walks are too easy";
+  EXPECT_LE(worse, 1);
+}
+
+TEST(StartValuesTest, TheScaleOfTheInformationDoesNotMatter) {
+  WalkOptions walk;
+  walk.seed = 3;
+  const auto choice = ChooseStart(NoisyWalk(walk));
+  walk.scale = 1e-6;
+  const auto scaled = ChooseStart(NoisyWalk(walk));
+  EXPECT_EQ(choice.chosen, scaled.chosen);
+  for (std::size_t k = 0; k < choice.trials.size(); ++k) {
+    EXPECT_EQ(choice.trials[k].iterations, scaled.trials[k].iterations);
+    EXPECT_NEAR(choice.trials[k].cost, 1e6 * scaled.trials[k].cost, 1e-6 * choice.trials[k].cost);
+  }
+}
+
+TEST(StartValuesTest, ASolvedFileGoesOn) {
+  auto graph = Manhattan(500, 4);
+  const auto optimum = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  ASSERT_TRUE(optimum.Converged());
+  for (std::size_t k = 0; k < optimum.T_world_body.size(); ++k) {
+    graph.SetPose(graph.Poses()[k].id, optimum.T_world_body[k]);
+  }
+  const auto choice = ChooseStart(graph);
+  EXPECT_EQ(choice.chosen, InitialValues::kFile);
+  EXPECT_NEAR(TrialOf(choice, InitialValues::kFile).cost, optimum.chi2, 1e-8 * optimum.chi2);
+}
+
+TEST(StartValuesTest, WhatThereIsNotIsSaid) {
+  const auto graph = Manhattan(100, 1);
+  const auto choice = ChooseStart(graph);
+  EXPECT_NE(TrialOf(choice, InitialValues::kFile).unavailable.find("has no value"), std::string::npos);
+  EXPECT_TRUE(TrialOf(choice, InitialValues::kChordal).unavailable.empty());
+
+  auto with_values = graph;
+  const auto composed = ComputeInitialValues(graph, InitialValues::kCompose);
+  for (std::size_t k = 0; k < composed.size(); ++k) with_values.SetPose(graph.Poses()[k].id, composed[k]);
+  EXPECT_EQ(TrialOf(ChooseStart(with_values), InitialValues::kCompose).same, InitialValues::kFile);
+
+  auto parted = graph;
+  parted.AddPose({1000});
+  EXPECT_THROW(ChooseStart(parted), std::invalid_argument);
+  EXPECT_THROW(ChooseStart(PoseGraph<SE2>()), std::invalid_argument);
+  EXPECT_TRUE(ComputeInitialValues(PoseGraph<SE2>(), InitialValues::kAuto).empty());
+}
+
+TEST(StartValuesTest, ThreadsChangeNothing) {
+  const auto graph = Manhattan(800, 5);
+  const auto one = ChooseStart(graph), two = ChooseStart(graph, {2, {}});
+  ASSERT_EQ(one.T_world_body.size(), two.T_world_body.size());
+  for (std::size_t k = 0; k < one.T_world_body.size(); ++k) {
+    EXPECT_EQ(one.T_world_body[k].Translation(), two.T_world_body[k].Translation());
+  }
+}
+
+// Poses held at their values: the relaxation meets them all, not only the first.
+TEST(StartValuesTest, ChordalMeetsEveryFixedPose) {
+  auto graph = Manhattan(300, 6);
+  const auto optimum = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  for (const std::int64_t id : {20, 130, 290}) {
+    graph.SetPose({id}, optimum.T_world_body[static_cast<std::size_t>(graph.IndexOf({id}))]);
+    graph.SetFixed({id}, true);
+  }
+  const auto values = ComputeInitialValues(graph, InitialValues::kChordal);
+  for (const std::int64_t id : {20, 130, 290}) {
+    const auto k = static_cast<std::size_t>(graph.IndexOf({id}));
+    EXPECT_LT(optimum.T_world_body[k].Local(values[k]).norm(), 1e-3) << id;
+  }
+}
+
+// Position priors on a straight line leave the turn about it free; the direction of the line they give.
+TEST(StartValuesTest, ChordalLiesAlongPositionPriorsOnALine) {
+  PoseGraph<SE3> graph;
+  const SE3 T_step(SO3::Exp(Vector<3>::Zero()), Vector<3>(1, 0, 0));
+  for (std::int64_t k = 0; k < 20; ++k) {
+    graph.AddPose({k});
+    if (k > 0) graph.AddFactor(RelativePoseFactor<SE3>{{k - 1}, {k}, T_step, SE3::Jacobian::Identity()});
+    const double x = static_cast<double>(k);
+    if (k % 4 == 0) {
+      graph.AddFactor(PositionPriorFactor<SE3>{{k}, Vector<3>(5, x, 2), Matrix<3, 3>::Identity()});
+    }
+  }
+  const auto values = ComputeInitialValues(graph, InitialValues::kChordal);
+  for (std::size_t k = 0; k < values.size(); ++k) {
+    EXPECT_LT((values[k].Translation() - Vector<3>(5, static_cast<double>(k), 2)).norm(), 1e-9) << k;
+  }
+}
+
+}  // namespace
+}  // namespace terse
