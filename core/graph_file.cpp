@@ -1,6 +1,7 @@
 #include "terse/core/graph_file.h"
 
 #include <algorithm>
+#include <charconv>
 
 #include "read_graph.h"
 
@@ -23,6 +24,7 @@ constexpr TagLayout kLayouts[] = {
     {"EDGE_PRIOR_SE2_XY", TagFamily::kG2o, 2, TagKind::kPositionPrior, 6},  // id x y, 3 entries
     {"EDGE_SE3_PRIOR", TagFamily::kG2o, 3, TagKind::kPosePrior, 30},        // id parameter, pose, 21 entries
     {"EDGE_PRIOR_SE3_XYZ", TagFamily::kG2o, 3, TagKind::kPositionPrior, 10},  // id x y z, 6 entries
+    {"EDGE_SE3_PRIORXYZ", TagFamily::kG2o, 3, TagKind::kPositionPrior, 10},   // as EDGE_PRIOR_SE3_XYZ
     {"PARAMS_SE3OFFSET", TagFamily::kG2o, 0, TagKind::kOffset, 8},            // id, pose
 };
 
@@ -34,7 +36,20 @@ bool IsTag(std::string_view text) {
 struct Classified {
   std::vector<GraphLine> known;
   std::map<std::string, long> skipped_tags;
+  std::unordered_set<std::int64_t> other_vertices;  // ids of vertices with tags that are not known
 };
+
+// The id of a vertex with a tag that is not known, for all that can be seen.
+void AddOtherVertex(const TextFile& file, const TextLine& line, std::unordered_set<std::int64_t>* ids) {
+  if (line.text.rfind("VERTEX", 0) != 0) return;
+  Fields fields(file.Path());
+  fields.Split(line);
+  std::int64_t id = 0;
+  if (fields.Count() < 2) return;
+  const std::string_view text = fields.Text(1);
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), id);
+  if (error == std::errc() && end == text.data() + text.size()) ids->insert(id);
+}
 
 FileError NotAGraph(const TextFile& file, const std::vector<TextLine>& lines) {
   std::string cause = "expected a g2o, TORO or iSAM graph; ";
@@ -62,7 +77,9 @@ Classified Classify(const TextFile& file) {
       is_graph = is_graph || layout->kind != TagKind::kOffset;
     }
     if (layout == nullptr && !IsTag(tag) && odd_line == nullptr) odd_line = &line;
-    if (layout == nullptr || layout->kind == TagKind::kOffset) ++out.skipped_tags[std::string(tag)];
+    if (layout != nullptr) continue;
+    ++out.skipped_tags[std::string(tag)];
+    AddOtherVertex(file, line, &out.other_vertices);
   }
   if (!is_graph) throw NotAGraph(file, lines);
   if (odd_line != nullptr) {
@@ -109,9 +126,10 @@ TagFamily Family(const std::string& path, const std::vector<GraphLine>& lines) {
 }
 
 template <class Pose>
-GraphFile Read(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options) {
+GraphFile Read(const std::string& path, const Classified& classified, const ReadOptions& options) {
+  const std::vector<GraphLine>& lines = classified.known;
   const TagFamily family = Family(path, lines);
-  if (family == TagFamily::kG2o) return ReadG2o<Pose>(path, lines, options);
+  if (family == TagFamily::kG2o) return ReadG2o<Pose>(path, lines, classified.other_vertices, options);
   std::vector<GraphLine> edges_and_vertices = lines;  // without g2o's parameters
   edges_and_vertices.erase(std::remove_if(edges_and_vertices.begin(), edges_and_vertices.end(),
                                           [](const GraphLine& line) { return line.layout->kind == TagKind::kOffset; }),
@@ -139,12 +157,27 @@ const char* Name(GraphFormat format) {
   return "";
 }
 
+std::string DescribeSkippedTags(const GraphFile& file) {
+  std::string out;
+  for (const auto& [tag, count] : file.skipped_tags) {
+    if (tag.rfind("PARAMS_", 0) == 0) continue;
+    out += (out.empty() ? "" : ", ") + (tag == "FIX" ? "FIX of such vertices" : tag) + " " + std::to_string(count);
+  }
+  return out;
+}
+
 GraphFile ReadGraph(const std::string& path, const ReadOptions& options) {
   const TextFile file(path);
   Classified lines = Classify(file);
-  GraphFile out =
-      Dimension(path, lines.known) == 2 ? Read<SE2>(path, lines.known, options) : Read<SE3>(path, lines.known, options);
-  out.skipped_tags = std::move(lines.skipped_tags);
+  const bool is_planar = Dimension(path, lines.known) == 2;
+  GraphFile out = is_planar ? Read<SE2>(path, lines, options) : Read<SE3>(path, lines, options);
+  out.skipped_tags.merge(lines.skipped_tags);
+  // Sensor offsets are for priors in space.
+  const auto is_offset = [](const GraphLine& line) { return line.layout->kind == TagKind::kOffset; };
+  const auto offsets = std::count_if(lines.known.begin(), lines.known.end(), is_offset);
+  if (offsets > 0 && (is_planar || out.format != GraphFormat::kG2o)) {
+    out.skipped_tags["PARAMS_SE3OFFSET"] = static_cast<long>(offsets);
+  }
   return out;
 }
 

@@ -28,6 +28,9 @@ template <class Measurement, int N>
 std::string FindDefectIn(const std::string& name, const Measurement& measurement, const Matrix<N, N>& information) {
   if (!IsFinite(measurement)) return name + ": the measurement is not finite";
   if (!information.allFinite()) return name + ": the information is not finite";
+  if (information.isZero(0)) {
+    return name + ": the information is zero everywhere (unset?), expected a positive definite matrix";
+  }
   if ((information - information.transpose()).cwiseAbs().maxCoeff() > 1e-12 * information.cwiseAbs().maxCoeff()) {
     return name + ": the information is not symmetric";
   }

@@ -1,8 +1,8 @@
 // g2o: https://github.com/RainerKuemmerle/g2o/wiki/File-Format. Rotation entries of 3D information are for the
-// vector part of the quaternion. EDGE_PRIOR_SE3_XYZ is ours: a position in the world with its information.
+// vector part of the quaternion. EDGE_PRIOR_SE3_XYZ is ours, EDGE_SE3_PRIORXYZ hdl_graph_slam's: a position in the
+// world with its information.
 
 #include <cmath>
-#include <set>
 
 #include "read_graph.h"
 
@@ -42,9 +42,38 @@ typename Pose::Jacobian InformationFields(const Fields& fields, int first, Rotat
   return information;
 }
 
+// g2o's error of Z, the measured T_world_sensor, is the chart of Z^-1 T_world_body O, O = T_body_sensor. With
+// T_world_body = (Z O^-1) Exp(d) that is O^-1 Exp(d) O = Exp(Ad(O^-1) d).
+Factor<SE3> PriorOnBody(const PosePriorFactor<SE3>& on_sensor, const SE3& T_body_sensor) {
+  const SE3 T_sensor_body = T_body_sensor.Inverse();
+  const Matrix<6, 6> A = T_sensor_body.Adjoint();
+  const Matrix<6, 6> information = A.transpose() * on_sensor.information * A;
+  return PosePriorFactor<SE3>{on_sensor.pose, on_sensor.T_world_body * T_sensor_body,
+                              0.5 * (information + information.transpose())};
+}
+
+template <class Pose>
+Factor<Pose> PosePriorFields(const Fields& fields, const ReadOptions& options, const SensorOffsets& offsets) {
+  const int first = Pose::kDim == 3 ? 3 : 2;
+  const PosePriorFactor<Pose> prior{
+      IdField(fields, 1), PoseFields<Pose>(fields, first),
+      InformationFields<Pose>(fields, first + PoseFieldCount(Pose::kDim), options.rotation_information)};
+  if constexpr (Pose::kDim == 3) {
+    const auto offset = offsets.find(fields.Integer(2, "parameter id"));
+    if (offset == offsets.end()) {
+      const std::string id(fields.Text(2));
+      throw fields.Error("a prior on pose " + std::to_string(prior.pose.value) + " names the sensor offset " + id +
+                         ", which no line gives; expected PARAMS_SE3OFFSET " + id +
+                         " x y z qx qy qz qw (0 0 0 0 0 0 1 for the body itself)");
+    }
+    if (offset->second.Log().norm() > 0) return PriorOnBody(prior, offset->second);
+  }
+  return prior;
+}
+
 template <class Pose>
 Factor<Pose> FactorFields(const Fields& fields, TagKind kind, const ReadOptions& options,
-                          const std::set<std::int64_t>& offsets) {
+                          const SensorOffsets& offsets) {
   constexpr int kPose = PoseFieldCount(Pose::kDim), kDim = Pose::kDim;
   const auto information = [&](int first) {
     return InformationFields<Pose>(fields, first, options.rotation_information);
@@ -57,19 +86,23 @@ Factor<Pose> FactorFields(const Fields& fields, TagKind kind, const ReadOptions&
     return PositionPriorFactor<Pose>{IdField(fields, 1), PositionFields<kDim>(fields, 2),
                                      SymmetricFields<kDim>(fields, 2 + kDim)};
   }
-  const int first = kDim == 3 ? 3 : 2;
-  if (kDim == 3 && offsets.count(fields.Integer(2, "parameter id")) != 0) {
-    throw fields.Error("a prior with a sensor offset (PARAMS_SE3OFFSET " + std::string(fields.Text(2)) +
-                       " is not the identity): not supported, expected the identity");
-  }
-  return PosePriorFactor<Pose>{IdField(fields, 1), PoseFields<Pose>(fields, first), information(first + kPose)};
+  return PosePriorFields<Pose>(fields, options, offsets);
 }
 
 }  // namespace
 
+void AddSensorOffset(const Fields& fields, const SensorOffsetLine& offset, SensorOffsets* offsets) {
+  const auto [first, is_new] = offsets->emplace(offset.id, offset.T_body_sensor);
+  const SE3 &a = first->second, &b = offset.T_body_sensor;
+  const bool is_same =
+      a.Translation() == b.Translation() && a.Rotation().Unit().coeffs() == b.Rotation().Unit().coeffs();
+  if (is_new || is_same) return;
+  throw fields.Error("a second PARAMS_SE3OFFSET " + std::to_string(offset.id) + " with other values, expected one");
+}
+
 template <class Pose>
 MeasurementLine<Pose> ParseG2oLine(const Fields& fields, const TagLayout& layout, const ReadOptions& options,
-                                   const std::set<std::int64_t>& offsets) {
+                                   const SensorOffsets& offsets) {
   ExpectFields(fields, layout);
   switch (layout.kind) {
     case TagKind::kVertex: return VertexLine<Pose>{IdField(fields, 1), PoseFields<Pose>(fields, 2)};
@@ -78,19 +111,17 @@ MeasurementLine<Pose> ParseG2oLine(const Fields& fields, const TagLayout& layout
       for (int i = 1; i < fields.Count(); ++i) fix.poses.push_back(IdField(fields, i));
       return fix;
     }
-    case TagKind::kOffset: {
-      const SE3 T_body_sensor = SpatialPoseFields(fields, 2);
-      return SensorOffsetLine{fields.Integer(1, "id"), !(T_body_sensor.Log().norm() > 0)};
-    }
+    case TagKind::kOffset: return SensorOffsetLine{fields.Integer(1, "id"), SpatialPoseFields(fields, 2)};
     default: return FactorFields<Pose>(fields, layout.kind, options, offsets);
   }
 }
 
 template <class Pose>
-GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options) {
+GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines,
+                  const std::unordered_set<std::int64_t>& other_vertices, const ReadOptions& options) {
   GraphBuilder<Pose> builder(options);
   Fields fields(path);
-  std::set<std::int64_t> offsets;
+  SensorOffsets offsets;
   const auto parse = [&](const GraphLine& line) {
     fields.Split(line.line);
     return ParseG2oLine<Pose>(fields, *line.layout, options, offsets);
@@ -102,15 +133,14 @@ GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines, 
   builder.AddPosesOfEdges(path, lines);
   for (const GraphLine& line : lines) {
     if (line.layout->kind != TagKind::kOffset || Pose::kDim == 2) continue;
-    const auto offset = std::get<SensorOffsetLine>(parse(line));
-    if (!offset.is_identity) offsets.insert(offset.id);
+    AddSensorOffset(fields, std::get<SensorOffsetLine>(parse(line)), &offsets);
   }
   for (const GraphLine& line : lines) {
     const TagKind kind = line.layout->kind;
     if (kind == TagKind::kVertex || kind == TagKind::kOffset) continue;
     const MeasurementLine<Pose> parsed = parse(line);
     if (kind == TagKind::kFix) {
-      builder.Fix(fields);
+      builder.Fix(fields, other_vertices);
     } else {
       builder.AddFactor(fields, std::get<Factor<Pose>>(parsed));
     }
@@ -133,11 +163,9 @@ MeasurementLine<Pose> MeasurementLineReader<Pose>::Read(std::string_view text, l
     throw fields.Error(std::string(tag) + " in a run in " + std::to_string(Pose::kDim) +
                        "D, expected tags of that dimension");
   }
-  MeasurementLine<Pose> line = ParseG2oLine<Pose>(fields, *layout, options_, offsets_);
+  MeasurementLine<Pose> line = ParseG2oLine<Pose>(fields, *layout, options_, T_body_sensor_);
   if (auto* factor = std::get_if<Factor<Pose>>(&line)) RepairInformation(fields, options_, *factor);
-  if (const auto* offset = std::get_if<SensorOffsetLine>(&line)) {
-    if (!offset->is_identity) offsets_.insert(offset->id);
-  }
+  if (const auto* offset = std::get_if<SensorOffsetLine>(&line)) AddSensorOffset(fields, *offset, &T_body_sensor_);
   return line;
 }
 
@@ -149,10 +177,11 @@ int DimensionOfLine(std::string_view text) {
   return layout != nullptr && layout->family == TagFamily::kG2o ? layout->dimension : 0;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                            \
-  template MeasurementLine<Pose> ParseG2oLine<Pose>(const Fields&, const TagLayout&, const ReadOptions&,   \
-                                                    const std::set<std::int64_t>&);                        \
-  template GraphFile ReadG2o<Pose>(const std::string&, const std::vector<GraphLine>&, const ReadOptions&); \
+#define TERSE_INSTANTIATE(Pose)                                                                          \
+  template MeasurementLine<Pose> ParseG2oLine<Pose>(const Fields&, const TagLayout&, const ReadOptions&, \
+                                                    const SensorOffsets&);                               \
+  template GraphFile ReadG2o<Pose>(const std::string&, const std::vector<GraphLine>&,                    \
+                                   const std::unordered_set<std::int64_t>&, const ReadOptions&);         \
   template class MeasurementLineReader<Pose>;
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

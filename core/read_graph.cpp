@@ -146,9 +146,13 @@ void GraphBuilder<Pose>::AddFactor(const Fields& fields, Factor<Pose> factor) {
 }
 
 template <class Pose>
-void GraphBuilder<Pose>::Fix(const Fields& fields) {
+void GraphBuilder<Pose>::Fix(const Fields& fields, const std::unordered_set<std::int64_t>& other_vertices) {
   for (int i = 1; i < fields.Count(); ++i) {
     const PoseId id = IdField(fields, i);
+    if (!graph_.HasPose(id) && other_vertices.count(id.value) != 0) {
+      ++skipped_fixes_;
+      continue;
+    }
     if (!graph_.HasPose(id))
       throw fields.Error("FIX of " + Name(id) + ", which no vertex and no edge names; expected a line that does");
     graph_.SetFixed(id, true);
@@ -157,11 +161,12 @@ void GraphBuilder<Pose>::Fix(const Fields& fields) {
 
 template <class Pose>
 GraphFile GraphBuilder<Pose>::Finish(const std::string& path, GraphFormat format) && {
-  ExpectConnected(graph_, path);
+  if (options_.expect_connected) ExpectConnected(graph_, path);
   GraphFile out;
   out.graph = std::move(graph_);
   out.format = format;
   out.repaired_informations = repaired_informations_;
+  if (skipped_fixes_ > 0) out.skipped_tags["FIX"] = skipped_fixes_;
   return out;
 }
 

@@ -1,8 +1,9 @@
 #pragma once
 // What the readers of graph files share: tags, fields of a line as poses and matrices, the graph under construction.
 
-#include <set>
+#include <map>
 #include <string>
+#include <unordered_set>
 #include <vector>
 
 #include "terse/core/graph_file.h"
@@ -26,6 +27,11 @@ struct GraphLine {
   TextLine line;
   const TagLayout* layout;
 };
+
+// T_body_sensor by parameter id.
+using SensorOffsets = std::map<std::int64_t, SE3>;
+// Throws unless it is new or the same as before.
+void AddSensorOffset(const Fields& fields, const SensorOffsetLine& offset, SensorOffsets* offsets);
 
 // nullptr if the tag is not known.
 const TagLayout* FindLayout(std::string_view tag);
@@ -64,28 +70,32 @@ class GraphBuilder {
   // All throw FileError with the line of `fields`.
   void AddVertex(const Fields& fields, const Pose& T_world_body);
   void AddFactor(const Fields& fields, Factor<Pose> factor);
-  void Fix(const Fields& fields);
+  // Those of `other_vertices` are of kinds that are not read: they are counted and left out.
+  void Fix(const Fields& fields, const std::unordered_set<std::int64_t>& other_vertices);
   // Adds the poses that only edges name. Call between the vertices and the factors.
   void AddPosesOfEdges(const std::string& path, const std::vector<GraphLine>& lines);
 
-  // Throws FileError if the graph is in pieces.
+  // Throws FileError if the graph is in pieces and the options do not allow that.
   GraphFile Finish(const std::string& path, GraphFormat format) &&;
 
  private:
   ReadOptions options_;
   PoseGraph<Pose> graph_;
   long repaired_informations_ = 0;
+  long skipped_fixes_ = 0;
 };
 
-// What a line of the g2o format says by itself, with the information as it stands there. `offsets`: the sensor offsets
-// that are not the identity.
+// What a line of the g2o format says, with the information as it stands there but for a prior on a sensor, which
+// becomes one on the body.
 template <class Pose>
 MeasurementLine<Pose> ParseG2oLine(const Fields& fields, const TagLayout& layout, const ReadOptions& options,
-                                   const std::set<std::int64_t>& offsets);
+                                   const SensorOffsets& offsets);
 
-// One per format. `lines` holds the lines with known tags, of one family and dimension.
+// One per format. `lines` holds the lines with known tags, of one family and dimension; `other_vertices` the ids of
+// vertices with other tags.
 template <class Pose>
-GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options);
+GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines,
+                  const std::unordered_set<std::int64_t>& other_vertices, const ReadOptions& options);
 template <class Pose>
 GraphFile ReadToro(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options);
 template <class Pose>

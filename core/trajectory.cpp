@@ -133,7 +133,9 @@ Trajectory ReadTrajectory(const std::string& path) {
     throw FileError(path, 0,
                     "no poses: the file holds blank lines and comments only, expected a trajectory or a graph");
   if (!IsNumber(FirstField(lines.front().text))) {
-    return std::visit([&](const auto& graph) { return FromGraph(path, graph); }, ReadGraph(path).graph);
+    ReadOptions options;
+    options.expect_connected = false;
+    return std::visit([&](const auto& graph) { return FromGraph(path, graph); }, ReadGraph(path, options).graph);
   }
   Fields fields(path);
   fields.Split(lines.front());

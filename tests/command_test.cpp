@@ -118,6 +118,49 @@ TEST_F(Command, ConvertGoesThereAndBack) {
   EXPECT_EQ(std::count(kitti.begin(), kitti.end(), '\n'), 3);
 }
 
+TEST_F(Command, VerticesAloneAreATrajectory) {
+  Write("vertices.g2o", "VERTEX_SE2 1 1 0 0\nVERTEX_SE2 0 0 0 0\nVERTEX_SE2 2 2 0.5 0\nVERTEX_XY 7 0 0\nFIX 0 7\n");
+  EXPECT_EQ(Run("convert vertices.g2o vertices.tum").exit_code, 0);
+  EXPECT_EQ(Read("vertices.tum").substr(0, 18), "0 0 0 0 0 0 0 1\n1 ");
+  EXPECT_EQ(Json("evaluate vertices.g2o vertices.tum --json")["poses"], 3);
+  EXPECT_LT(Json("evaluate vertices.tum vertices.g2o --json")["ate"]["translation_m"], 1e-12);
+  ExpectFailure("convert vertices.g2o again.g2o", 1, "3 poses but no edges");
+  ExpectFailure("solve vertices.g2o", 1, "3 poses but no edges");
+}
+
+TEST_F(Command, FixOfALandmarkIsSkippedWithACount) {
+  Write("landmarks.g2o", std::string(kSquare) + "VERTEX_XY 70 1 1\nVERTEX_XY 71 1 1\nFIX 70\n");
+  const Outcome outcome = Succeed("info landmarks.g2o --json");
+  EXPECT_NE(outcome.err.find("not known here were skipped: FIX of such vertices 1, VERTEX_XY 2"), std::string::npos)
+      << outcome.err;
+  EXPECT_EQ(nlohmann::json::parse(outcome.out)["skipped_tags"]["FIX"], 1);
+}
+
+TEST_F(Command, EvaluateHintsAtOtherFrames) {
+  Succeed("generate sphere --poses 100 --output s.g2o --ground-truth s.tum");
+  EXPECT_EQ(Succeed("evaluate s.g2o s.tum").err, "");
+  std::istringstream lines(Read("s.tum"));
+  std::ostringstream feet;
+  feet.precision(17);
+  for (std::string line; std::getline(lines, line);) {
+    std::istringstream numbers(line);
+    for (int k = 0; k < 8; ++k) {
+      double value = 0;
+      numbers >> value;
+      feet << (k > 0 ? " " : "") << (k >= 1 && k <= 3 ? value / 0.3048 : value);
+    }
+    feet << '\n';
+  }
+  Write("feet.tum", feet.str());
+  const Outcome outcome = Succeed("evaluate feet.tum s.tum --json");
+  EXPECT_NE(
+      outcome.err.find("terse: hint: these look like data of different frames: lengths of the reference are 0.305"),
+      std::string::npos)
+      << outcome.err;
+  EXPECT_EQ(std::count(outcome.err.begin(), outcome.err.end(), '\n'), 1) << "one line";
+  EXPECT_EQ(nlohmann::json::parse(outcome.out)["poses"], 100);
+}
+
 TEST_F(Command, ConvertRefusesAndLeavesNothing) {
   Write("square.g2o", kSquare);
   Write("edges.g2o", "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n");

@@ -163,11 +163,18 @@ TEST(GraphFileErrorTest, Structure) {
        Edge2("0", "1") + Edge2("1", "2") + Edge2("2", "30") + Edge2("9001", "9000") + "VERTEX_SE2 7 0 0 0\n",
        0,
        {"3 components: 4 poses (0 ... 30), 2 poses (9000, 9001), 1 pose (7)"}},
-      {"sensor offset",
-       "PARAMS_SE3OFFSET 3 0 0 1 0 0 0 1\nVERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nEDGE_SE3_PRIOR 0 3 0 0 0 0 0 0 1" +
+      {"sensor offset that no line gives",
+       "PARAMS_SE3OFFSET 3 0 0 1 0 0 0 1\nVERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nEDGE_SE3_PRIOR 0 2 0 0 0 0 0 0 1" +
            std::string(kUnit6),
        3,
-       {"PARAMS_SE3OFFSET 3", "not supported"}},
+       {"prior on pose 0", "sensor offset 2", "expected PARAMS_SE3OFFSET 2"}},
+      {"two sensor offsets",
+       "PARAMS_SE3OFFSET 3 0 0 1 0 0 0 1\nPARAMS_SE3OFFSET 3 0 0 1 0 0 0 1\nPARAMS_SE3OFFSET 3 0 0 2 0 0 0 1\n"
+       "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n",
+       3,
+       {"second PARAMS_SE3OFFSET 3"}},
+      {"FIX of no skipped vertex", edge + "VERTEX_XY 7 0 0\nFIX 7 8\n", 3, {"FIX", "pose 8"}},
+      {"FIX of what an edge alone names", edge + "EDGE_SE2_XY 0 8 1 1 1 0 1\nFIX 8\n", 3, {"FIX", "pose 8"}},
       {"row of numbers", edge + "1 2 3\n", 2, {"expected a tag", "\"1\""}},
   });
 }

@@ -106,6 +106,7 @@ TEST(GraphFileTest, G2oPlanar) {
 
 TEST(GraphFileTest, G2oSpatialConvertsTheRotationEntries) {
   const std::string text =
+      "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n"
       "VERTEX_SE3:QUAT 0 1 2 3 0 0 0 1\n"
       "EDGE_SE3:QUAT 0 1 4 5 6 0.5 0.5 0.5 0.5" +
       Entries(6) +
@@ -246,6 +247,42 @@ TEST(GraphFileTest, UnknownTagsAreCounted) {
       "1 1\n");
   const std::map<std::string, long> wanted = {{"PARAMS_SE3OFFSET", 1}, {"PARAMS_CAMERA", 1}, {"VERTEX_XY", 2}};
   EXPECT_EQ(file.skipped_tags, wanted);
+}
+
+TEST(GraphFileTest, SensorOffsetsInSpaceAreNotSkipped) {
+  const GraphFile file =
+      ReadText("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\nPARAMS_CAMERA x\nVERTEX_SE3:QUAT 4 0 0 0 0 0 0 1\n");
+  EXPECT_EQ(file.skipped_tags, (std::map<std::string, long>{{"PARAMS_CAMERA", 1}}));
+}
+
+// The lines as hdl_graph_slam prints them: two blanks before the information.
+TEST(GraphFileTest, PositionPriorsOfHdlGraphSlam) {
+  const std::string vertex = "VERTEX_SE3:QUAT 4 0 0 0 0 0 0 1\n", rest = " 4 7 8 9  4 0.1 0.2 5 0.3 6\n";
+  const auto theirs = ReadAs<SE3>(vertex + "EDGE_SE3_PRIORXYZ" + rest);
+  const auto ours = ReadAs<SE3>(vertex + "EDGE_PRIOR_SE3_XYZ" + rest);
+  const auto& prior = FactorAt<PositionPriorFactor<SE3>>(theirs, 0);
+  EXPECT_EQ(prior.pose.value, 4);
+  EXPECT_EQ(prior.p_world, Vector<3>(7, 8, 9));
+  EXPECT_EQ(prior.information, (Matrix<3, 3>() << 4, 0.1, 0.2, 0.1, 5, 0.3, 0.2, 0.3, 6).finished());
+  EXPECT_EQ(prior.information, FactorAt<PositionPriorFactor<SE3>>(ours, 0).information);
+}
+
+TEST(GraphFileTest, FixOfASkippedVertexIsCounted) {
+  const GraphFile file = ReadText(
+      "VERTEX_XY 5 1 1\nVERTEX_XY 6 1 1\nVERTEX_XY\nVERTEX_LINE x\nFIX 0 5 6\nFIX 5\n"
+      "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n");
+  const std::map<std::string, long> wanted = {{"VERTEX_XY", 3}, {"VERTEX_LINE", 1}, {"FIX", 3}};
+  EXPECT_EQ(file.skipped_tags, wanted);
+  const auto& graph = std::get<PoseGraph<SE2>>(file.graph);
+  ASSERT_EQ(graph.Poses().size(), 2u);
+  EXPECT_TRUE(graph.Poses()[0].fixed && !graph.Poses()[1].fixed);
+}
+
+TEST(GraphFileTest, GraphsInPiecesForThoseWhoWantThePoses) {
+  ReadOptions options;
+  options.expect_connected = false;
+  const GraphFile file = ReadText("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", options);
+  EXPECT_EQ(std::get<PoseGraph<SE2>>(file.graph).Poses().size(), 2u);
 }
 
 TEST(GraphFileTest, QuaternionsAreNormalisedOnceOnly) {

@@ -60,6 +60,28 @@ TYPED_TEST(PoseGraphTest, AnyIdInAnyOrderKeepsItsIndex) {
   EXPECT_TRUE(graph.Poses()[0].fixed);
 }
 
+TYPED_TEST(PoseGraphTest, InformationThatWasNeverSetIsNamed) {
+  using Pose = TypeParam;
+  PoseGraph<Pose> graph;
+  graph.AddPose({1});
+  graph.AddPose({2});
+  RelativePoseFactor<Pose> edge;
+  edge.from = {1};
+  edge.to = {2};
+  PosePriorFactor<Pose> prior;
+  prior.pose = {1};
+  PositionPriorFactor<Pose> position;
+  position.pose = {1};
+  for (const Factor<Pose>& factor : {Factor<Pose>(edge), Factor<Pose>(prior), Factor<Pose>(position)}) {
+    EXPECT_NE(FindDefect(factor).find("the information is zero everywhere (unset?)"), std::string::npos)
+        << FindDefect(factor);
+    EXPECT_THROW(graph.AddFactor(factor), std::invalid_argument);
+  }
+  EXPECT_NE(FindDefect<Pose>(edge).find("edge 1 -> 2: "), std::string::npos);
+  edge.information(0, 0) = 1;
+  EXPECT_NE(FindDefect<Pose>(edge).find("not positive definite"), std::string::npos) << "is set, but wrong";
+}
+
 TYPED_TEST(PoseGraphTest, RemovedFactorsLeaveTheOthersAndTheirIds) {
   using Pose = TypeParam;
   std::mt19937 random(1);

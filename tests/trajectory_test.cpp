@@ -235,6 +235,21 @@ TEST(TrajectoryTest, ReadsTheVerticesOfGraphsInOrderOfTheirIds) {
   EXPECT_THROW(ReadTrajectory(huge.Path()), FileError);
 }
 
+TEST(TrajectoryTest, VerticesAloneAndGraphsInPiecesAreTrajectories) {
+  const TestFile plane("trajectory_vertices.g2o", "VERTEX_SE2 7 1 2 0.5\nVERTEX_SE2 -3 0 0 0\nVERTEX_SE2 9 3 0 0\n");
+  EXPECT_EQ(ReadTrajectory(plane.Path()).stamps, (std::vector<double>{-3, 7, 9}));
+  const TestFile space("trajectory_vertices3.g2o",
+                       "VERTEX_SE3:QUAT 2 1 2 3 0 0 0 1\nVERTEX_SE3:QUAT 1 4 5 6 0 0 0 1\nVERTEX_TRACKXYZ 5 0 0 0\n");
+  const Trajectory read = ReadTrajectory(space.Path());
+  EXPECT_EQ(read.stamps, (std::vector<double>{1, 2}));
+  EXPECT_EQ(read.T_world_body[0].Translation(), Vector<3>(4, 5, 6));
+  const TestFile toro("trajectory_vertices.graph", "VERTEX2 0 1 2 0.5\nVERTEX2 1 0 0 0\n");
+  EXPECT_EQ(ReadTrajectory(toro.Path()).stamps.size(), 2u);
+  const TestFile pieces("trajectory_pieces.g2o",
+                        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n");
+  EXPECT_EQ(ReadTrajectory(pieces.Path()).stamps.size(), 3u);
+}
+
 TEST(TrajectoryTest, GraphInSpaceKeepsItsPoses) {
   Random random(38);
   PoseGraph<SE3> graph;

@@ -126,11 +126,7 @@ CLI::Validator NonNegativeNumber() {
 }
 
 void ReportRepairs(const GraphFile& file, const std::string& path) {
-  std::string skipped;
-  for (const auto& [tag, count] : file.skipped_tags) {
-    if (tag.rfind("PARAMS_", 0) == 0) continue;  // sensor parameters say nothing about poses
-    skipped += (skipped.empty() ? "" : ", ") + tag + " " + std::to_string(count);
-  }
+  const std::string skipped = DescribeSkippedTags(file);
   if (!skipped.empty()) {
     std::cerr << "terse: warning: " << path << ": lines with tags that are not known here were skipped: " << skipped
               << '\n';

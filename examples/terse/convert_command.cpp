@@ -59,8 +59,10 @@ void Convert(const ConvertOptions& options) {
   const bool from_trajectory = LooksLikeTrajectory(options.input);
   if (to_tum || to_kitti) {
     const auto values = [&](const auto& graph) { return ValuesOf(graph, options.input); };
-    const Trajectory trajectory = from_trajectory ? ReadTrajectory(options.input)
-                                                  : std::visit(values, ReadGraph(options.input, options.read).graph);
+    ReadOptions read = options.read;
+    read.expect_connected = false;  // vertices alone are a trajectory
+    const Trajectory trajectory =
+        from_trajectory ? ReadTrajectory(options.input) : std::visit(values, ReadGraph(options.input, read).graph);
     to_tum ? WriteTum(trajectory, options.output) : WriteKitti(trajectory, options.output);
     return;
   }

@@ -3,6 +3,7 @@
 
 #include "commands.h"
 #include "terse/core/evaluate.h"
+#include "terse/core/frame_mismatch.h"
 
 namespace terse {
 namespace {
@@ -73,6 +74,8 @@ void RunEvaluate(const EvaluateCommandOptions& options) {
   const Evaluation result = Evaluate(matched.T_world_estimate, matched.T_world_reference, how);
   options.json ? PrintJsonResult(result)
                : PrintTable(result, options.alignment, estimate.stamps.size(), reference.stamps.size());
+  const auto mismatch = FindFrameMismatch(matched.T_world_estimate, matched.T_world_reference, how.alignment);
+  if (mismatch) std::cerr << "terse: hint: " << Describe(*mismatch) << '\n';
 }
 
 }  // namespace

@@ -16,6 +16,7 @@ namespace {
 using std::size_t;
 
 constexpr double kWidth = 900, kMargin = 24, kGap = 44, kHead = 62, kFoot = 64, kMostHeight = 640;
+constexpr double kPadding = 8;  // of a drawing within its panel
 constexpr const char *kTruth = "#8b949e", *kEstimate = "#2f81f7", *kText = "#768390", *kUnmeasured = "#a371f7";
 constexpr double kDegrees = 180 / 3.14159265358979323846;
 constexpr int kEllipses = 24;
@@ -59,8 +60,8 @@ class View {
     // A metre where all poses are in one place.
     const double least_extent = std::max(Extent(0), Extent(1)) > 1e-6 ? 1e-9 : 1;
     const double across = std::max(Extent(0), least_extent), up = std::max(Extent(1), least_extent);
-    scale_ = std::min((width_ - 16) / across, kMostHeight / up);
-    height_ = std::max(scale_ * up + 16, 60.0);
+    scale_ = std::min((width_ - 2 * kPadding) / across, kMostHeight / up);
+    height_ = std::max(scale_ * up + 2 * kPadding, 60.0);
   }
 
   double PanelWidth() const { return width_; }
@@ -201,7 +202,16 @@ class MapPicture {
     out_ << "</g>\n";
   }
 
+  // Far uncertainty stays off the other run, the head and the legend.
+  void BeginClipped(size_t panel) {
+    const double left = view_.Left(panel) - kPadding, width = view_.PanelWidth() + 2 * kPadding;
+    out_ << "<clipPath id=\"panel-" << panel << "\"><rect x=\"" << left << "\" y=\"" << kHead - kPadding
+         << "\" width=\"" << width << "\" height=\"" << view_.DrawingHeight() + 2 * kPadding
+         << "\"/></clipPath>\n<g clip-path=\"url(#panel-" << panel << ")\">\n";
+  }
+
   void Ellipses(const RunFolder& run, size_t panel) {
+    BeginClipped(panel);
     const size_t stride = std::max<size_t>(1, run.covariances.size() / kEllipses);
     for (size_t k = 0; k < run.covariances.size(); k += stride) {
       const RunCovariance& c = run.covariances[k];
@@ -217,6 +227,7 @@ class MapPicture {
            << ',' << p[1] << ") rotate(" << -kDegrees / 2 * std::atan2(2 * xy, xx - yy) << ")\" fill=\"" << kEstimate
            << "\" fill-opacity=\"0.14\" stroke=\"" << kEstimate << "\" stroke-width=\"0.8\"/>\n";
     }
+    out_ << "</g>\n";
   }
 
   void Poses(const RunFolder& run, size_t panel) {

@@ -101,9 +101,11 @@ Json Decisions(const RunFolder& run) {
     out["refused"].push_back(decision.at("links_refused").get<int>());
     Json candidates = Json::array();
     for (const auto& c : decision.at("candidates")) {
+      const auto tried = c.find("tried");  // absent in folders of earlier versions
       candidates.push_back({index.at(c.at("id").get<std::int64_t>()), Short(c.at("probability")),
                             Short(c.at("gain_nats")), Short(c.at("measured_gain_nats")),
-                            c.at("accepted").get<bool>() ? 1 : 0, Short(c.at("innovation"))});
+                            c.at("accepted").get<bool>() ? 1 : 0, Short(c.at("innovation")),
+                            tried != c.end() && tried->is_boolean() ? Json(tried->get<bool>() ? 1 : 0) : Json()});
     }
     out["candidates"].push_back(std::move(candidates));
   }

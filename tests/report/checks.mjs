@@ -30,6 +30,7 @@ export async function numbersEqual(page, stats) {
 export async function sliderChangesPicture(page) {
   const count = await steps(page);
   if (count < 2) return;
+  await slide(page, count - 1);
   const end = await picture(page);
   await slide(page, 0);
   const start = await picture(page);
@@ -40,6 +41,13 @@ export async function sliderChangesPicture(page) {
     assert.equal(pane.hash, again[run].hash, `the picture of run ${run} depends on the way to a step`);
     assert.ok(pane.ink > start[run].ink, `more is to be seen of run ${run} at the end (${pane.ink}) than at the start (${start[run].ink})`);
   });
+}
+
+// Where there is no value the page says so in words.
+export async function noDashes(page) {
+  const dashes = await page.evaluate(() => [...document.querySelectorAll('#main *, #player *')].filter((node) =>
+    node.children.length === 0 && /^[-–—−]$/.test(node.textContent.trim())).map((node) => node.parentElement.textContent));
+  assert.deepEqual(dashes, [], 'fields that show a dash');
 }
 
 export function noProblems(page) {

@@ -6,7 +6,7 @@ import {readFileSync, statSync, writeFileSync} from 'node:fs';
 import {join} from 'node:path';
 
 import {open, picture, slide, steps} from './browser.mjs';
-import {fitsWidth, noProblems, numbersEqual, sliderChangesPicture} from './checks.mjs';
+import {fitsWidth, noDashes, noProblems, numbersEqual, sliderChangesPicture} from './checks.mjs';
 import {fill, makeBareRun, makeHolesRun, makeRun, report} from './generate.mjs';
 
 const kMostBytes = 900e3;  // of the page without data
@@ -44,8 +44,37 @@ const single = (test) => withPage(test, report(makeRun({name: 'ring'})), kSmall,
   assert.match(await page.title(), /^ring: 40.\/.120 poses, 40 links/);
   assert.match(await text(page, '#subtitle'), /keeps 40 of 120 poses and 40 of 120 links/);
   assert.equal(await page.locator('#plots .uplot').count(), 8);
+  await noDashes(page);
   return `${compared} numbers`;
 });
+
+// Where the last kept pose came in the map is complete.
+const opening = (test) => withPage(test, report(makeRun({poses: 120, keepEvery: 9})), kSmall, async (page) => {
+  const run = makeRun({poses: 120, keepEvery: 9});
+  const last = run.poses.kept.lastIndexOf(1);
+  assert.ok(last < 119, 'the run ends with dropped poses');
+  assert.equal(await page.locator('#slider').inputValue(), String(last));
+  assert.match(await text(page, '#decisions'), new RegExp(`pose ${run.poses.id[last]}\\s[^]*kept`));
+});
+
+// What became of a candidate that was not linked, in a replay and from images, with and without a word on whether it was tried.
+const outcomes = async (test) => {
+  const make = (stats) => {
+    const run = makeRun();
+    Object.assign(run.stats, stats);
+    run.decisions.candidates[60] = [[0, 0.5, 9, null, 0, null, 1], [3, 0.5, 9, null, 0, null, 0], [6, 0.5, 1, null, 0, null, 0],
+      [9, 0.5, 9, 1, 0, null, 1], [12, 0.5, 9, 8, 0, 60, 1], [15, 0.5, 9, null, 0, null, null]];
+    return run;
+  };
+  for (const [stats, nothing] of [[{}, 'the file has no such link'], [{frames: 120}, 'registration failed']]) {
+    await withPage(test, report(make(stats)), kSmall, async (page) => {
+      await slide(page, 60);
+      const words = await page.locator('#decisions tbody .word').allInnerTexts();
+      assert.deepEqual(words.sort(), [nothing, nothing, 'not registered', 'too little gain', 'too little gain', 'refused'].sort());
+      await noDashes(page);
+    });
+  }
+};
 
 // At a step the panel tells that step's decision, and the map holds what there was then.
 const decisions = (test) => withPage(test, report(makeRun()), kSmall, async (page) => {
@@ -66,7 +95,7 @@ const decisions = (test) => withPage(test, report(makeRun()), kSmall, async (pag
   assert.equal(shown.odometry, run.steps.poses[at] - 1);
   const dropped = run.poses.kept.indexOf(0, at);
   await slide(page, dropped);
-  assert.match(await text(page, '#decisions'), /dropped\s*redundant[^]*would bring only[^]*not more than the threshold of 5.4 nats/);
+  assert.match(await text(page, '#decisions'), /dropped\s*redundant[^]*The least informative link to a kept pose would bring only[^]*not more than the threshold of 5.4 nats/);
 });
 
 const keyboard = (test) => withPage(test, report(makeRun()), kSmall, async (page) => {
@@ -128,6 +157,7 @@ const comparison = (test) => {
   const runs = [makeRun({name: 'all', keepEvery: 1, links: 90, strategy: 'apal'}), makeRun({name: 'few', seed: 2})];
   return withPage(test, report(...runs), kSmall, async (page) => {
     await numbersEqual(page, runs.map(({stats}) => stats));
+    await noDashes(page);
     await sliderChangesPicture(page);
     assert.equal((await picture(page)).length, 2);
     assert.equal(await page.locator('.decision').count(), 2);
@@ -145,6 +175,7 @@ const byShare = (test) => {
   return withPage(test, report(...runs), kSmall, async (page) => {
     const last = await page.evaluate(() => window.terseReport.alignment.indices.map((list) => list[list.length - 1]));
     assert.deepEqual(last, [199, 79]);
+    await slide(page, 199);
     assert.match(await text(page, '.readout'), /100.%/);
     await slide(page, 100);
     assert.deepEqual(await page.evaluate(() => window.terseReport.maps.map((map) => map.step)), [100, 40]);
@@ -167,13 +198,17 @@ const bare = (test) => withPage(test, report(makeBareRun()), kSmall, async (page
   assert.match(await text(page, '[data-plot="ate"]'), /No ground truth given/);
   assert.match(await text(page, '#ellipsoids'), /No covariances/);
   assert.match(await text(page, '#decisions'), /candidates of the steps are not known/);
+  await noDashes(page);
   await sliderChangesPicture(page);
 });
 
 const holes = (test) => withPage(test, report(makeHolesRun()), kSmall, async (page) => {
   await numbersEqual(page, [makeHolesRun().stats]);
   await sliderChangesPicture(page);
-  for (let k = 0; k < await steps(page); k += 7) await slide(page, k);
+  for (let k = 0; k < await steps(page); k += 3) {
+    await slide(page, k);
+    await noDashes(page);
+  }
 });
 
 const tiny = (test) => withPage(test, report(makeRun({name: 'one', poses: 1, links: 0}), makeRun({name: 'two', poses: 2, links: 0})), kSmall, async (page) => {
@@ -258,7 +293,8 @@ async function large(test, count) {
 }
 
 export const suite = [
-  ['the page is what its sources make', rebuilt], ['one run', single], ['decisions step by step', decisions], ['keyboard', keyboard],
+  ['the page is what its sources make', rebuilt], ['one run', single], ['it opens on the last kept pose', opening], ['what became of candidates', outcomes],
+  ['decisions step by step', decisions], ['keyboard', keyboard],
   ['choosing a pose', choosing], ['two runs', comparison], ['two runs by share', byShare], ['2D starts from above', flat],
   ['camera coordinates', cameraCoordinates], ['without truth, covariances, steps', bare], ['holes in the data', holes], ['one pose and two', tiny],
   ['names with HTML in them', names], ['light and dark', themes], ['a phone', phone], ['without data', withoutData],

@@ -7,7 +7,7 @@ import {halfAxes} from './scene3d.js';
 
 const kMostRows = 40;
 
-const probability = (x) => (!isNumber(x) ? '–' : x > 0.9995 && x < 1 ? '> 0.999' : x >= 1 ? '1' : number(x, 3));
+const probability = (x) => (!isNumber(x) ? 'unknown' : x > 0.9995 && x < 1 ? '> 0.999' : x >= 1 ? '1' : number(x, 3));
 
 function gauge(gain, threshold) {
   if (!isNumber(gain) || !isNumber(threshold)) return null;
@@ -21,19 +21,21 @@ function gauge(gain, threshold) {
       element('div', {class: 'gauge-mark', style: `left:${width(threshold)}`})));
 }
 
+const valueOr = (x, words) => (isNumber(x) ? number(x, 3) : element('span', {class: 'muted'}, words));
+
 function candidateTable(run, list) {
   const evaluated = list.some((c) => c[1] > 0 || c[2] > 0);
   const order = list.map((c, i) => [c, i]).sort(([a, i], [b, j]) => b[4] - a[4] || (b[3] ?? b[2] ?? 0) - (a[3] ?? a[2] ?? 0) || i - j);
   const rows = order.slice(0, kMostRows).map(([c]) => {
     const {word, why} = outcome(run, c);
     return element('tr', {class: c[4] ? 'accepted' : ''},
-      element('th', {scope: 'row'}, String(run.id[c[0]] ?? '–')),
-      element('td', {}, evaluated ? probability(c[1]) : '–'), element('td', {}, evaluated ? number(c[2], 3) : '–'),
-      element('td', {}, number(c[3], 3)), element('td', {}, number(c[5], 3)),
+      element('th', {scope: 'row'}, String(run.id[c[0]] ?? 'unknown')),
+      evaluated && element('td', {}, probability(c[1])), evaluated && element('td', {}, number(c[2], 3)),
+      element('td', {}, valueOr(c[3], 'none')), element('td', {}, valueOr(c[5], 'untested')),
       element('td', {class: 'word', title: why}, c[4] ? '✓ ' : '', word));
   });
-  const head = [['pose', 'kept pose that a link was considered to'], ['prob.', 'least probability, over the dimensions, of being in range'],
-    ['gain', 'expected, nats'], ['measured', 'gain of the registered link, nats'], ['innov.', 'squared Mahalanobis distance of the registered link from what was known'],
+  const head = [['pose', 'kept pose that a link was considered to'],
+    ...(evaluated ? [['prob.', 'least probability, over the dimensions, of being in range'], ['gain', 'expected, nats']] : []), ['measured', 'gain of the registered link, nats'], ['innov.', 'squared Mahalanobis distance of the registered link from what was known'],
     ['outcome', '']];
   return element('div', {class: 'scroll candidates', tabindex: '0', role: 'region', 'aria-label': 'Candidates'},
     element('table', {},
@@ -71,8 +73,8 @@ export function showDecision(node, run, k, {named, chosen, onStep}) {
     element('p', {class: 'explanation'}, explain(run, k)),
     gauge(decisions.pose_gain?.[k], run.thresholds.min_pose_gain),
     element('dl', {class: 'counts'},
-      [['tried', known ? count('registrations') : '–', 'registrations at this step'], ['accepted', known ? count('accepted') : '–', 'links of this step'],
-        ['refused', known ? count('refused') : '–', 'by the innovation test'], ['poses', `${integer(keptSoFar)} (${percent(keptSoFar, k + 1)})`, 'kept so far'],
+      [['tried', known ? count('registrations') : 'not recorded', 'registrations at this step'], ['accepted', known ? count('accepted') : 'not recorded', 'links of this step'],
+        ['refused', known ? count('refused') : 'not recorded', 'by the innovation test'], ['poses', `${integer(keptSoFar)} (${percent(keptSoFar, k + 1)})`, 'kept so far'],
         ['links', integer(run.linksBy[k]), 'kept so far']]
         .map(([name, value, why]) => element('div', {title: why}, element('dt', {}, name), element('dd', {}, value)))),
     list.length > 0 ? candidateTable(run, list)

@@ -39,30 +39,35 @@ export function explain(run, k) {
     case 'prior': return 'A prior, such as a position fix, or a held value ties this pose to the world.';
     case 'nothing_in_range': return 'No kept pose is likely to be in sensor range: without this one, a later visit would find nothing here.';
     case 'informative':
-      return `Even the least informative possible link to a kept pose would bring ${nats(gain)}, more than the threshold of ${nats(threshold)}: the place is not known well enough from the poses around.`;
+      return `Even the least informative link to a kept pose would bring ${nats(gain)}, more than the threshold of ${nats(threshold)}: the place is not known well enough from the poses around.`;
     case 'redundant':
       if (run.stats.strategy === 'rfpfl') return 'The lot did not fall on this pose; its odometry goes into that of the next kept one.';
-      return `A link to a kept pose would bring only ${nats(gain)}, not more than the threshold of ${nats(threshold)}: the kept poses know this place already. Its odometry goes into that of the next kept pose.`;
+      return `The least informative link to a kept pose would bring only ${nats(gain)}, not more than the threshold of ${nats(threshold)}: the kept poses know this place already. Its odometry goes into that of the next kept pose.`;
     case 'drawn': return 'The lot fell on this pose: strategy rfpfl keeps poses at random.';
     default: return run.kept[k] ? 'The pose is part of the map.' : 'The pose is not part of the map; its place is recovered from the kept poses around it.';
   }
 }
 
-// What became of a candidate [pose, probability, gain, measured, accepted, innovation]: {word, why}.
+// In a replay the registration is the file, from images it is the verifier.
+const failed = (run) => (run.stats.frames === undefined ? {word: 'the file has no such link', why: 'asked for, but no edge of the file joins the two poses'}
+  : {word: 'registration failed', why: 'asked for, but the images of the two poses gave no motion'});
+
+// What became of a candidate [pose, probability, gain, measured, accepted, innovation, tried]: {word, why}. Runs of before did
+// not say what was tried.
 export function outcome(run, candidate) {
-  const [, , gain, measured, accepted, innovation] = candidate;
+  const [, , gain, measured, accepted, innovation, tried] = candidate;
   const threshold = run.thresholds.min_loop_gain;
   if (accepted) return {word: 'accepted', why: 'linked'};
   if (!isNumber(measured)) {
     const low = isNumber(gain) && isNumber(threshold) && gain <= threshold && gain > 0;
-    return low ? {word: 'too little gain', why: `expected ${nats(gain)}, at most the threshold of ${nats(threshold)}: not registered`}
-      : {word: 'no link', why: 'not registered, or the registration found nothing'};
+    if (low && !tried) return {word: 'too little gain', why: `expected ${nats(gain)}, at most the threshold of ${nats(threshold)}: not registered`};
+    return tried === 0 ? {word: 'not registered', why: 'others came first, and after them it was not worth it'} : failed(run);
   }
   if (isNumber(threshold) && measured <= threshold) {
     return {word: 'too little gain', why: `measured ${nats(measured)}, at most the threshold of ${nats(threshold)}`};
   }
   if (isNumber(innovation)) return {word: 'refused', why: `innovation ${number(innovation, 3)} is larger than a correct link's would be`};
-  return {word: 'no link', why: 'not accepted'};
+  return {word: 'not accepted', why: 'the map did not take it'};
 }
 
 export function titleOf(run) {

@@ -4,13 +4,15 @@ const kThin = '\u202f';
 
 export const group = (text) => text.replace(/\B(?=(\d{3})+$)/g, kThin);
 
+const kUnknown = 'unknown';  // what a field without a value shows, unless its place has a better word
+
 export function integer(x) {
-  return Number.isFinite(x) ? (x < 0 ? '−' : '') + group(String(Math.abs(Math.round(x)))) : '–';
+  return Number.isFinite(x) ? (x < 0 ? '−' : '') + group(String(Math.abs(Math.round(x)))) : kUnknown;
 }
 
 // About `digits` significant digits, without exponents where that stays short.
 export function number(x, digits = 4) {
-  if (typeof x !== 'number' || !Number.isFinite(x)) return '–';
+  if (typeof x !== 'number' || !Number.isFinite(x)) return kUnknown;
   if (x === 0) return '0';
   const size = Math.abs(x), sign = x < 0 ? '−' : '';
   if (Number.isInteger(x) && size < 1e9) return integer(x);
@@ -25,7 +27,7 @@ export function number(x, digits = 4) {
 const superscript = (n) => String(n).replace(/[-\d]/g, (c) => (c === '-' ? '⁻' : '⁰¹²³⁴⁵⁶⁷⁸⁹'[c]));
 
 export function seconds(x) {
-  if (!Number.isFinite(x)) return '–';
+  if (!Number.isFinite(x)) return kUnknown;
   if (x === 0) return '0 s';
   const size = Math.abs(x);
   if (size < 1e-3) return `${number(x * 1e6, 3)} µs`;
@@ -33,7 +35,7 @@ export function seconds(x) {
   return `${number(x, 4)} s`;
 }
 
-export const percent = (part, whole) => (whole > 0 ? `${number((100 * part) / whole, 3)}${kThin}%` : '–');
+export const percent = (part, whole) => (whole > 0 ? `${number((100 * part) / whole, 3)}${kThin}%` : kUnknown);
 
 export const plural = (count, one, many = `${one}s`) => `${integer(count)} ${count === 1 ? one : many}`;
 

@@ -62,7 +62,7 @@ class Page {
     $('decisions').append(...this.panels);
 
     const events = this.runs.flatMap((run, r) => this.positionsOfLinks(run, r));
-    this.timeline = new Timeline($('player'), this.alignment.count, [...new Set(events)].sort((a, b) => a - b), () => this.showStep());
+    this.timeline = new Timeline($('player'), this.alignment.count, [...new Set(events)].sort((a, b) => a - b), this.lastKept(), () => this.showStep());
     this.timeline.label = (position) => this.label(position);
     if (this.several) this.timeline.extra.append(this.alignmentChoice());
     this.plots = new Plots($('plots'), this.runs, (position) => this.timeline.jump(position));
@@ -101,12 +101,17 @@ class Page {
     return out;
   }
 
+  // The position at which the last kept pose of every run has come in: from there on the maps do not change.
+  lastKept() {
+    return this.runs.reduce((position, run, r) => Math.max(position, this.alignment.indices[r].findIndex((k) => k >= run.kept.lastIndexOf(1))), 0);
+  }
+
   label(position) {
     const {pace, count, mode, indices} = this.alignment;
     const step = `${integer(position + 1)}\u202f/\u202f${integer(count)}`;
     if (this.several && mode === 'share') return [`${number((100 * (position + 1)) / count, 3)}\u202f%`, ' of the run'];
     const k = indices[this.runs.indexOf(pace)][position];
-    return [`step ${step}`, ` · pose ${pace.id[k] ?? '–'}`];
+    return [`step ${step}`, ` · ${pace.id[k] === undefined ? 'no pose' : `pose ${pace.id[k]}`}`];
   }
 
   alignmentChoice() {

@@ -206,7 +206,7 @@ export class Plots {
       for (const {node, last, one} of values) {
         // Of dots only what belongs to this very step; lines hold until their next value.
         const at = last[position];
-        node.textContent = at < 0 || (one.dots && at !== position) ? '–' : format(one.values[at]);
+        node.textContent = at < 0 || (one.dots && at !== position) ? 'none' : format(one.values[at]);
       }
     }
   }

@@ -28,7 +28,7 @@ function leaves(object, prefix = '') {
 }
 
 function show(key, value) {
-  if (value === undefined) return '–';
+  if (value === undefined) return 'not recorded';
   if (value === null) return 'none';
   if (typeof value === 'boolean') return value ? 'yes' : 'no';
   if (Array.isArray(value)) {
@@ -50,7 +50,7 @@ const cell = (key, value, text) => element('td', {'data-key': key, 'data-value':
 
 function ratio(values) {
   const [a, b] = values;
-  return isNumber(a) && isNumber(b) && a !== 0 ? `×\u00a0${number(b / a, 3)}` : '–';
+  return isNumber(a) && isNumber(b) && a !== 0 ? `×\u00a0${number(b / a, 3)}` : '';
 }
 
 // rows: [key, label, note, [value of each run], formatter]
@@ -119,16 +119,17 @@ export function showFigures(node, runs) {
   const figures = [
     ['Poses kept', (run) => [integer(run.keptBy[run.n - 1] ?? 0), `of ${integer(run.n)}`]],
     ['Links kept', (run) => [integer(run.linksBy[run.n - 1] ?? 0), isNumber(run.stats.links_offered) ? `of ${integer(run.stats.links_offered)}` : 'beside the odometry']],
-    ['Registrations', (run) => [isNumber(run.stats.registrations_tried) ? integer(run.stats.registrations_tried) : isNumber(run.stats.compared) ? integer(run.stats.compared) : '–', 'tried']],
+    ['Registrations', (run) => [isNumber(run.stats.registrations_tried) ? integer(run.stats.registrations_tried) : isNumber(run.stats.compared) ? integer(run.stats.compared) : 'not recorded', 'tried']],
     ['Error (ATE)', (run) => {
       const ate = run.stats.errors?.ate_m;
-      return isNumber(ate) ? [`${number(ate, 3)} m`, 'RMS'] : ['–', run.truth ? 'not recorded' : 'no ground truth'];
+      return isNumber(ate) ? [`${number(ate, 3)} m`, 'RMS'] : (run.truth ? ['not recorded', ''] : ['unknown', 'no ground truth']);
     }],
-    ['χ² per scalar', (run) => [number(run.stats.normalized_chi2, 3), run.stats.converged === false ? 'not converged' : run.stats.converged ? 'converged' : '']],
+    ['χ² per scalar', (run) => [isNumber(run.stats.normalized_chi2) ? number(run.stats.normalized_chi2, 3) : 'not recorded', run.stats.converged === false ? 'not converged' : run.stats.converged ? 'converged' : '']],
     ['Median step', (run) => {
       const total = isNumber(run.stats.seconds) ? run.stats.seconds : run.stats.seconds?.total;
       const note = isNumber(run.stats.fps) ? `${number(run.stats.fps, 3)} frames/s` : isNumber(total) ? `${seconds(total)} in all` : '';
-      return [seconds(run.stats.step_seconds?.median ?? median(run.steps.seconds)), note];
+      const step = run.stats.step_seconds?.median ?? median(run.steps.seconds);
+      return [isNumber(step) ? seconds(step) : 'not recorded', note];
     }],
   ];
   node.replaceChildren(...figures.map(([name, of]) => element('div', {class: 'figure'}, element('div', {class: 'figure-name'}, name),

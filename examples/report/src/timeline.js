@@ -12,13 +12,14 @@ export const kKeys = [
 ];
 
 export class Timeline {
-  // `events`: ascending positions at which a link is accepted. `onStep(position)` is called when the position changes.
-  constructor(node, count, events, onStep) {
-    Object.assign(this, {count, events, onStep, position: count - 1, playing: false, label: () => ['', '']});
+  // `events`: ascending positions at which a link is accepted. `onStep(position)` is called when the position changes from
+  // that of the start.
+  constructor(node, count, events, start, onStep) {
+    Object.assign(this, {count, events, onStep, position: start, playing: false, label: () => ['', '']});
     const button = (name, label, action) => element('button', {type: 'button', class: 'icon-button', 'data-button': name, 'aria-label': label, title: label, onclick: action}, icon(kIcons[name]));
     this.playButton = button('play', 'Play', () => this.toggle());
     this.playButton.classList.add('play');
-    this.slider = element('input', {type: 'range', id: 'slider', min: 0, max: count - 1, step: 1, value: count - 1, 'aria-label': 'Step of the run',
+    this.slider = element('input', {type: 'range', id: 'slider', min: 0, max: count - 1, step: 1, value: start, 'aria-label': 'Step of the run',
       oninput: () => this.jump(Number(this.slider.value))});
     const wanted = kSpeeds.find((speed) => count / speed <= kPlaySeconds) ?? kSpeeds[kSpeeds.length - 1];
     this.speed = element('select', {'aria-label': 'Speed', title: 'Steps per second'}, kSpeeds.map((speed) =>

@@ -85,6 +85,8 @@ void SolveAndCompact(const char* path) {
               slam.Solver().Graph().Poses().size(), slam.PosesSeen(), slam.LinksKept(), calls);
   std::printf("recovered %zu, the last %.9g m from the origin\n", slam.Trajectory().size(),
               slam.Trajectory().back().T_world_body.Translation().norm());
+  const auto map = slam.Export();  // the map's type comes with the class
+  std::printf("exported %zu poses, %zu edges\n", map.poses.size(), map.edges.size());
   terse::WriteG2o(graph, path);
 }
 

@@ -2,7 +2,11 @@
 #include <terse/core/graph_file.h>
 #include <cstdio>
 
-int main(int, char** argv) {
+int main(int argc, char** argv) {
+  if (argc != 2) {
+    std::fprintf(stderr, "usage: %s GRAPH\n", argv[0]);
+    return 2;
+  }
   const auto graph = terse::ReadPoseGraph<terse::SE3>(argv[1]);  // g2o, TORO or iSAM; errors are exceptions
   const auto run = terse::CompactGraph(graph);                   // thresholds from a sample of the graph
   const terse::IncrementalMarginals<terse::SE3> marginals(run.slam.Solver());

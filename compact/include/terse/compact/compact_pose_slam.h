@@ -31,6 +31,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include "terse/compact/compact_map.h"
 #include "terse/compact/compact_options.h"
 #include "terse/compact/decision.h"
 #include "terse/compact/uncertain_pose.h"
@@ -41,8 +42,6 @@ namespace terse {
 
 template <class Pose>
 class PoseIndex;
-template <class Pose>
-struct CompactMap;
 
 // How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Eq. 24): chained to the kept pose before
 // them. kV2 (Eqs. 25-26): that chain's misfit at the next kept pose spread over it by its covariance; behind the last
@@ -74,6 +73,7 @@ class CompactPoseSlam {
   CompactPoseSlam(CompactPoseSlam&&) noexcept;
   CompactPoseSlam& operator=(CompactPoseSlam&&) noexcept;
 
+  // A null registration registers nothing, like one that always returns std::nullopt.
   Decision AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration = nullptr);
 
   // A link that comes late, between any two poses seen: carried to the kept poses (CarryToKept), then tested as those

@@ -24,19 +24,32 @@ struct ReadOptions {
   RotationInformation rotation_information = RotationInformation::kQuaternion;
   // Clamps the eigenvalues of an information matrix that is not positive definite instead of refusing it.
   bool repair_information = false;
+  // Refuses a graph in pieces, and several poses without an edge. Off: for those who want the poses alone.
+  bool expect_connected = true;
 };
 
 struct GraphFile {
   AnyPoseGraph graph;
   GraphFormat format = GraphFormat::kG2o;
-  std::map<std::string, long> skipped_tags;  // tag -> lines skipped: parameters and tags not known here
+  // tag -> lines skipped: parameters and tags not known here. FIX: of how many ids that only skipped vertices have.
+  std::map<std::string, long> skipped_tags;
   long repaired_informations = 0;
 };
+
+// "VERTEX_XY 2, EDGE_SE2_XY 40": what was skipped, for a warning; empty if that was nothing but parameters
+// (PARAMS_...), which say nothing about poses.
+std::string DescribeSkippedTags(const GraphFile& file);
 
 // Poses appear in the order of their VERTEX lines, then of their first mention in an edge; factors in that of the file.
 //
 // g2o: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX, EDGE_PRIOR_SE2, EDGE_PRIOR_SE2_XY, EDGE_SE3_PRIOR
-// (with the identity for its sensor offset) and our own EDGE_PRIOR_SE3_XYZ (id x y z, upper triangle of 3x3).
+// with its PARAMS_SE3OFFSET, and a position in the world (id x y z, upper triangle of 3x3) as our own
+// EDGE_PRIOR_SE3_XYZ or as hdl_graph_slam's EDGE_SE3_PRIORXYZ.
+// EDGE_SE3_PRIOR measures the pose of a sensor on the body, T_world_body T_body_sensor with the parameter's
+// T_body_sensor. It is read as the prior on the body that has the same cost to second order in the deviation:
+// T_world_body = measured T_body_sensor^-1, information A' Omega A with A = Ad(T_body_sensor^-1).
+// FIX of a pose that neither a vertex nor an edge names is refused, unless a vertex of a skipped kind (a landmark) has
+// the id.
 // TORO: VERTEX2, EDGE2, VERTEX3, EDGE3. iSAM: ODOMETRY, EDGE2, EDGE3, with square-root information.
 // Refused besides: a graph in pieces, several poses without an edge, a second vertex line of a pose.
 GraphFile ReadGraph(const std::string& path, const ReadOptions& options = {});

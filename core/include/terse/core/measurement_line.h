@@ -2,7 +2,7 @@
 // Lines of the g2o format one at a time, as a robot sends them. Whole files go through the same parser (graph_file.h
 // lists the tags).
 
-#include <set>
+#include <map>
 #include <string>
 #include <string_view>
 #include <variant>
@@ -20,10 +20,10 @@ struct VertexLine {
 struct FixLine {
   std::vector<PoseId> poses;
 };
-// PARAMS_SE3OFFSET. A prior that names an offset other than the identity does not measure the body and is refused.
+// PARAMS_SE3OFFSET: where the sensor sits that priors name by this id (see graph_file.h).
 struct SensorOffsetLine {
   std::int64_t id = 0;
-  bool is_identity = true;
+  SE3 T_body_sensor;
 };
 
 template <class Pose>
@@ -40,14 +40,15 @@ class MeasurementLineReader {
       : source_(std::move(source)), options_(options) {}
 
   // Throws FileError with the source, `number` and the cause, and then is as before: an unknown tag, one of another
-  // format or dimension, a wrong field, a defective factor. An information matrix that is not positive definite is
-  // clamped if the options say so.
+  // format or dimension, a wrong field, a defective factor, a prior whose sensor offset no line before it gave, a
+  // second offset of an id that differs. An information matrix that is not positive definite is clamped if the options
+  // say so.
   MeasurementLine<Pose> Read(std::string_view text, long number);
 
  private:
   std::string source_;
   ReadOptions options_;
-  std::set<std::int64_t> offsets_;  // not the identity
+  std::map<std::int64_t, SE3> T_body_sensor_;  // by parameter id
 };
 
 extern template class MeasurementLineReader<SE2>;

@@ -2,7 +2,8 @@
 // The measurement graph: poses by user id, factors by stable id.
 //
 // Pose is SE2 or SE3. Poses keep their order of insertion: a pose's index in Poses() never changes.
-// Every information matrix is full, in the tangent order of the pose ([rho; phi], metres and radians).
+// Every information matrix is full, in the tangent order of the pose ([rho; phi], metres and radians). One that was
+// never set is zero, and refused by that name.
 // A graph is a value; concurrent reads are safe.
 
 #include <cstddef>
@@ -44,7 +45,7 @@ template <class Pose>
 struct RelativePoseFactor {
   PoseId from, to;
   Pose T_from_to;
-  typename Pose::Jacobian information;
+  typename Pose::Jacobian information = Pose::Jacobian::Zero();
 };
 
 // Measures T_world_body. Residual Local(measured^-1 * T_world_body).
@@ -52,15 +53,15 @@ template <class Pose>
 struct PosePriorFactor {
   PoseId pose;
   Pose T_world_body;
-  typename Pose::Jacobian information;
+  typename Pose::Jacobian information = Pose::Jacobian::Zero();
 };
 
 // Measures the position of the body in the world, as GNSS does. Residual translation - p_world, world frame.
 template <class Pose>
 struct PositionPriorFactor {
   PoseId pose;
-  typename Pose::Position p_world;
-  Matrix<Pose::kDim, Pose::kDim> information;
+  typename Pose::Position p_world = Pose::Position::Zero();
+  Matrix<Pose::kDim, Pose::kDim> information = Matrix<Pose::kDim, Pose::kDim>::Zero();
 };
 
 template <class Pose>
