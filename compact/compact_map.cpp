@@ -269,6 +269,7 @@ void CompactPoseSlam<Pose>::TakeHistory(const CompactMap<Pose>& map) {
       seen.next_kept = pose.next_kept;
       if (pose.next_kept) seen.T_base_next = pose.T_base_next;
     }
+    if (seen.previous >= 0) ++history_[At(seen.previous)].successors;
     index_[seen.id.value] = static_cast<int>(history_.size());
     history_.push_back(std::move(seen));
   }

@@ -254,6 +254,7 @@ void CompactPoseSlam<Pose>::Remember(const Current& current) {
     dropped.next_kept = seen.id;
     dropped.T_base_next = current.chain;
   }
+  if (seen.previous >= 0) ++history_[At(seen.previous)].successors;
   index_[seen.id.value] = static_cast<int>(history_.size());
   history_.push_back(seen);
 }
@@ -393,36 +394,6 @@ BatchResult<Pose> CompactPoseSlam<Pose>::Finish() {
   BatchResult<Pose> result = solver_->Finish();
   UpdateCovariances();
   return result;
-}
-
-template <class Pose>
-Pose CompactPoseSlam<Pose>::Estimate(PoseId id) const {
-  const Seen& seen = Find(id);
-  return seen.kept ? solver_->Estimate(id) : solver_->Estimate(seen.base) * seen.T_base_pose.T_a_b;
-}
-
-template <class Pose>
-std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery recovery) const {
-  std::vector<RecoveredPose<Pose>> out;
-  for (const Seen& seen : history_) {
-    Pose T = Estimate(seen.id);
-    if (!seen.kept && recovery == Recovery::kV0) T = seen.T_world_body_when_seen;
-    if (!seen.kept && recovery == Recovery::kV2 && seen.next_kept) {
-      // The misfit at the next kept pose, e in Exp(e) T_base_next, is shared in proportion to the covariance
-      // gathered so far: the most likely chain between two poses held where they are.
-      const Pose T_base = solver_->Estimate(seen.base);
-      const Pose T_base_next = T_base.Inverse() * solver_->Estimate(*seen.next_kept);
-      const typename Pose::Tangent e = (T_base_next * seen.T_base_next.T_a_b.Inverse()).Log();
-      const auto left = [](const UncertainPose<Pose>& chain) -> typename Pose::Jacobian {
-        const typename Pose::Jacobian A = chain.T_a_b.Adjoint();
-        return A * chain.covariance * A.transpose();
-      };
-      const typename Pose::Tangent share = left(seen.T_base_pose) * left(seen.T_base_next).llt().solve(e);
-      T = T_base * Pose::Exp(share) * seen.T_base_pose.T_a_b;
-    }
-    out.push_back({seen.id, seen.kept, T});
-  }
-  return out;
 }
 
 template RelativePoseFactor<SE2> Measurement<SE2>(PoseId, PoseId, const UncertainPose<SE2>&, CompositionOrder);

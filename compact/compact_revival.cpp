@@ -38,7 +38,8 @@ std::optional<UncertainPose<Pose>> Behind(const UncertainPose<Pose>& T_start_mid
 
 }  // namespace
 
-// Absent for a pose that is kept, whose chain has not ended at a kept pose, or cannot be split.
+// Absent for a pose that is kept, whose chain has not ended at a kept pose, or cannot be split: where other odometry
+// starts from the part behind the pose, that hangs on the base too.
 template <class Pose>
 std::optional<typename CompactPoseSlam<Pose>::Revival> CompactPoseSlam<Pose>::PlanRevival(PoseId dropped) const {
   const Seen& seen = Find(dropped);
@@ -51,6 +52,10 @@ std::optional<typename CompactPoseSlam<Pose>::Revival> CompactPoseSlam<Pose>::Pl
   const bool joins = (ends.first == seen.base && ends.second == *seen.next_kept) ||
                      (ends.second == seen.base && ends.first == *seen.next_kept);
   if (!joins) return std::nullopt;
+  for (int k = Find(*seen.next_kept).previous;; k = history_[At(k)].previous) {
+    if (k < 0 || history_[At(k)].kept || history_[At(k)].successors > 1) return std::nullopt;
+    if (history_[At(k)].id == dropped) break;
+  }
   return Revival{dropped, seen.base, *seen.next_kept, seen.T_base_pose, *behind, edge};
 }
 

@@ -57,7 +57,7 @@ void CompactPoseSlam<Pose>::UpdateSearch(int base) {
       displacement.T_a_b = T_world_pose.Inverse() * T_world_base;
       const Jacobian cross = column.empty() ? marginals_->KeptCross(i) : column[At(i)];
       displacement.covariance =
-          RelativeCovariance<Pose>(displacement.T_a_b, marginal[At(i)], cross, marginal[At(base)]);
+          terse::RelativeCovariance<Pose>(displacement.T_a_b, marginal[At(i)], cross, marginal[At(base)]);
     }
     items.push_back({T_world_pose.Translation(), Spread::Of<Pose>(displacement.covariance)});
   }

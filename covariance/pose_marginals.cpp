@@ -95,6 +95,13 @@ typename Pose::Jacobian PoseMarginals<Pose>::Relative(PoseId a, PoseId b,
 }
 
 template <class Pose>
+typename Pose::Jacobian PoseMarginals<Pose>::Combination(const std::vector<Term>& terms) const {
+  std::vector<CovarianceTerm<B>> sum;
+  for (const Term& term : terms) sum.push_back({IndexOf(term.id), term.A});
+  return CombinationCovariance<B>(FactorOfAll(), sum);
+}
+
+template <class Pose>
 typename Pose::Jacobian RelativeCovariance(const Pose& T_a_b, const typename Pose::Jacobian& Sigma_aa,
                                            const typename Pose::Jacobian& Sigma_ab,
                                            const typename Pose::Jacobian& Sigma_bb) {

@@ -52,8 +52,11 @@ int main(int argc, char** argv) try {
     }
     if (k % 40 == 39) {  // where is the robot now?
       const SE2 T = slam.Estimate(PoseId{k});
-      std::printf("lap %d: %3zu poses kept, %2d links, %.3f m off\n", k / 40 + 1, slam.Solver().Graph().Poses().size(),
-                  slam.LinksKept(), (T.Translation() - truth.back().Translation()).norm());
+      // The root mean square error to expect.
+      const double known = std::sqrt(slam.Covariance(PoseId{k}).topLeftCorner<2, 2>().trace());
+      std::printf("lap %d: %3zu poses kept, %2d links, %.3f m off, known to %.3f m\n", k / 40 + 1,
+                  slam.Solver().Graph().Poses().size(), slam.LinksKept(),
+                  (T.Translation() - truth.back().Translation()).norm(), known);
     }
   }
 

@@ -295,10 +295,14 @@ void BindReading(Type& type) {
           "Links in the map, beside the odometry.")
       .def(
           "estimate",
-          [](const Slam& s, std::int64_t id) {
-            return Read(s, [&](const auto& held) { return ArrayOf(held.Estimate(PoseId{id})); });
+          [](const Slam& s, std::int64_t id, const std::string& recovery) {
+            const auto how = FromWord<Recovery>(recovery);
+            return Read(s, [&](const auto& held) { return ArrayOf(held.Estimate(PoseId{id}, how)); });
           },
-          py::arg("pose_id"), "T_world_body of any pose seen, (3,) or (7,), kept or dropped. A copy.")
+          py::arg("pose_id"), py::arg("recovery") = "v1",
+          "T_world_body of any pose seen, (3,) or (7,), kept or dropped. recovery, of a dropped one: as in "
+          "trajectory(). "
+          "A copy.")
       .def(
           "kept_base",
           [](const Slam& s, std::int64_t id) {
@@ -328,6 +332,45 @@ void BindReading(Type& type) {
                   "What was saved; it continues bit for bit as that one would have. FileError. Without the GIL.");
 }
 
+void BindCovariances(Type& type) {
+  using Text = const std::string&;
+  constexpr const char* kConvention =
+      "\n\nframe: 'body', of d in T Exp(d), 'world', of e in Exp(e) T, or 'world_axes', of position and rotation along "
+      "the world's axes, as ROS has them. order: 'translation_first' or 'rotation_first'. Without the GIL.";
+  type.def(
+          "covariance",
+          [](const Slam& s, std::int64_t id, Text frame, Text order) {
+            const CovarianceConvention to{FromWord<CovarianceFrame>(frame), FromWord<TangentOrder>(order)};
+            return Read(s, [&](const auto& held) -> py::array {
+              return ArrayOfMatrix([&] {
+                const py::gil_scoped_release release;
+                return held.Covariance(PoseId{id}, to);
+              }());
+            });
+          },
+          py::arg("pose_id"), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
+          (std::string("(d, d), d = 3 or 6: the covariance of any pose seen, kept or dropped, square metres and square "
+                       "radians; of a dropped one where estimate(pose_id, 'v2') is.") +
+           kConvention)
+              .c_str())
+      .def(
+          "relative_covariance",
+          [](const Slam& s, std::int64_t a, std::int64_t b, Text frame, Text order) {
+            const CovarianceConvention to{FromWord<CovarianceFrame>(frame), FromWord<TangentOrder>(order)};
+            return Read(s, [&](const auto& held) -> py::array {
+              return ArrayOfMatrix([&] {
+                const py::gil_scoped_release release;
+                return held.RelativeCovariance(PoseId{a}, PoseId{b}, to);
+              }());
+            });
+          },
+          py::arg("a"), py::arg("b"), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
+          (std::string("(d, d): the covariance of T_a_b = T_world_a^-1 T_world_b, of any two poses seen; 'body' is b's "
+                       "frame, 'world' is a's.") +
+           kConvention)
+              .c_str());
+}
+
 }  // namespace
 
 void BindCompact(py::module_& module) {
@@ -344,6 +387,7 @@ void BindCompact(py::module_& module) {
   type.def(py::init(&MakeSlam), py::arg("options"), "options: CompactOptions. ValueError if one is out of its domain.");
   BindAdding(type);
   BindReading(type);
+  BindCovariances(type);
 }
 
 }  // namespace terse::python

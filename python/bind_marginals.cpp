@@ -103,8 +103,8 @@ GrowingMarginals OfSolver(const Solver& solver, double max_drift) {
 }
 
 constexpr const char* kConvention =
-    "frame: 'body', of d in T Exp(d), or 'world', of e in Exp(e) T (position_covariances gives world axes). order: "
-    "'translation_first' or 'rotation_first'.";
+    "frame: 'body', of d in T Exp(d), 'world', of e in Exp(e) T, or 'world_axes', of position and rotation along the "
+    "world's axes, as ROS has them. order: 'translation_first' or 'rotation_first'.";
 
 // The queries of a class of marginals.
 template <class Class, class M = typename Class::type>

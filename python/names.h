@@ -46,7 +46,8 @@ TERSE_WORDS(Policy, "policy", {"default", Policy::kDefault}, {"gn1", Policy::kGn
 TERSE_WORDS(FactorPath, "path", {"none", FactorPath::kNone}, {"appended", FactorPath::kAppended},
             {"rank_update", FactorPath::kRankUpdate}, {"refactored", FactorPath::kRefactored});
 TERSE_WORDS(ArrivalUnit, "every", {"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge});
-TERSE_WORDS(CovarianceFrame, "frame", {"body", CovarianceFrame::kBody}, {"world", CovarianceFrame::kWorld});
+TERSE_WORDS(CovarianceFrame, "frame", {"body", CovarianceFrame::kBody}, {"world", CovarianceFrame::kWorld},
+            {"world_axes", CovarianceFrame::kWorldAxes});
 TERSE_WORDS(TangentOrder, "order", {"translation_first", TangentOrder::kTranslationFirst},
             {"rotation_first", TangentOrder::kRotationFirst});
 TERSE_WORDS(Freedom, "freedom", {"floating", Freedom::kFloating}, {"loosely_held", Freedom::kLooselyHeld},

@@ -45,6 +45,14 @@ template <class Pose>
 MatrixXd Convention(const Pose& T, const std::string& frame, const std::string& order) {
   MatrixXd M = MatrixXd::Identity(Pose::kDof, Pose::kDof);
   if (frame == "world") M = T.Adjoint();
+  if (frame == "world-axes") {
+    // R: where T takes the axes, seen from where it takes the origin.
+    for (int k = 0; k < Pose::kDim; ++k) {
+      const typename Pose::Position axis = T * typename Pose::Position(Pose::Position::Unit(k));
+      M.block(0, k, Pose::kDim, 1) = axis - T.Translation();
+    }
+    if (Pose::kDim == 3) M.bottomRightCorner(3, 3) = M.topLeftCorner(3, 3).eval();
+  }
   if (order == "translation-first") return M;
   MatrixXd swapped(Pose::kDof, Pose::kDof);
   swapped << M.bottomRows(Pose::kDof - Pose::kDim), M.topRows(Pose::kDim);
@@ -55,10 +63,9 @@ struct Choice {
   std::string frame, order;
   std::string Options() const { return " --frame " + frame + " --order " + order; }
 };
-const std::vector<Choice> kChoices = {{"body", "translation-first"},
-                                      {"world", "translation-first"},
-                                      {"body", "rotation-first"},
-                                      {"world", "rotation-first"}};
+const std::vector<Choice> kChoices = {{"body", "translation-first"},       {"world", "translation-first"},
+                                      {"world-axes", "translation-first"}, {"body", "rotation-first"},
+                                      {"world-axes", "rotation-first"},    {"world", "rotation-first"}};
 
 template <class Pose>
 class CovarianceCommand : public testing::CommandTest {
@@ -323,7 +330,7 @@ TEST_F(CovarianceCommandErrors, UsageErrorsExitWith2) {
   }
   ExpectFailure(run + "--ids 0 1", 2, "unexpected argument 1");
   ExpectFailure(run + "--id 0", 2, "did you mean --ids?");
-  ExpectFailure(run + "--frame map", 2, "map not in {body,world}");
+  ExpectFailure(run + "--frame map", 2, "map not in {body,world,world-axes}");
   ExpectFailure(run + "--order phi", 2, "phi not in {translation-first,rotation-first}");
   ExpectFailure("covarianc in.g2o", 2, "did you mean covariance?");
   ExpectFailure("solve in.g2o --covariances all-steps", 2, "--covariances: all-steps needs --mode incremental");

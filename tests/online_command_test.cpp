@@ -7,6 +7,8 @@
 #include <map>
 #include <random>
 
+#include "terse/compact/measurement_stream.h"
+#include "terse/core/measurement_line.h"
 #include "testing_command.h"
 
 namespace {
@@ -293,6 +295,142 @@ TEST_F(OnlineCommand, ReadsThresholds) {
   ExpectFailure("online --thresholds wrong.json < input", 1, "wrong.json: expected thresholds");
   ExpectFailure("online --thresholds none.json < input", 1, "none.json: the file does not exist");
   ExpectFailure("online --thresholds good.json --dimension 3 < input", 1, "good.json: thresholds for 2D");
+}
+
+// The library's run over the same lines with kOptions.
+class SameRun {
+ public:
+  explicit SameRun(const std::vector<std::string>& lines) : slam_(Options()), stream_(slam_) {
+    terse::MeasurementLineReader<terse::SE2> reader("lines");
+    for (const std::string& line : lines) {
+      stream_.Add(std::get<terse::Factor<terse::SE2>>(reader.Read(line, 1)));
+    }
+    stream_.Flush();
+  }
+  const terse::CompactPoseSlam<terse::SE2>& Slam() const { return slam_; }
+
+ private:
+  static terse::CompactOptions<terse::SE2> Options() {
+    terse::CompactOptions<terse::SE2> options;
+    options.range = {10, 10, 1.5};
+    options.min_loop_gain = 0.5;
+    options.min_pose_gain = 2;
+    return options;
+  }
+  terse::CompactPoseSlam<terse::SE2> slam_;
+  terse::MeasurementStream<terse::SE2> stream_;
+};
+
+void ExpectMatrix(const json& rows, const terse::Matrix<3, 3>& expected) {
+  ASSERT_EQ(rows.size(), 3u);
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) {
+      const double entry = rows.at(std::size_t(r)).at(std::size_t(c));
+      EXPECT_NEAR(entry, expected(r, c), 1e-12 * expected.norm());
+    }
+  }
+}
+
+TEST_F(OnlineCommand, TellsHowWellAnyPoseIsKnown) {
+  const auto lines = Measurements(80);
+  std::string input = Join(lines, 0, lines.size()) + "FLUSH\n";
+  for (int k = 0; k < 80; ++k) {
+    input += "COVARIANCE " + std::to_string(k) + '\n';
+    if (k > 0) input += "COVARIANCE\t" + std::to_string(k / 3) + "  " + std::to_string(k) + '\n';
+  }
+  const SameRun run(lines);
+  const auto& slam = run.Slam();
+  const terse::CovarianceConvention conventions[] = {
+      {}, {terse::CovarianceFrame::kWorldAxes, terse::TangentOrder::kRotationFirst}};
+  for (const auto& convention : conventions) {
+    const std::string options = convention.IsNative() ? "" : " --frame world-axes --order rotation-first";
+    const auto answers = Answers(input, kOptions + "--quiet" + options);
+    ASSERT_EQ(answers.size(), 159u);
+    std::size_t next = 0;
+    int dropped = 0;
+    for (int k = 0; k < 80; ++k) {
+      const terse::PoseId id{k}, other{k / 3};
+      const json& one = answers[next++];
+      EXPECT_EQ(one["ids"], json::array({k}));
+      EXPECT_EQ(one["frame"], convention.IsNative() ? "body" : "world-axes");
+      EXPECT_EQ(one["order"], convention.IsNative() ? "translation-first" : "rotation-first");
+      EXPECT_EQ(one["kept"].get<bool>(), slam.KeptBase(id) == id);
+      EXPECT_GE(one["seconds"].get<double>(), 0);
+      dropped += !one["kept"].get<bool>();
+      const terse::SE2 T = slam.Estimate(id, terse::Recovery::kV2);
+      EXPECT_NEAR(one["estimate"][0].get<double>(), T.Translation().x(), 1e-9);
+      EXPECT_NEAR(one["estimate"][2].get<double>(), T.Theta(), 1e-9);
+      ExpectMatrix(one["covariance"], slam.Covariance(id, convention));
+      if (k == 0) continue;
+      const json& pair = answers[next++];
+      EXPECT_EQ(pair["from"], k / 3);
+      EXPECT_EQ(pair["to"], k);
+      ExpectMatrix(pair["covariance"], slam.RelativeCovariance(other, id, convention));
+    }
+    EXPECT_GT(dropped, 10);
+  }
+}
+
+TEST_F(OnlineCommand, EveryAnswerHasItsCovarianceIfAsked) {
+  const auto lines = Measurements(60);
+  const std::string input = Join(lines, 0, lines.size());
+  const auto plain = Answers(input, kOptions), with = Answers(input, kOptions + "--covariances --frame world-axes");
+  ASSERT_EQ(plain.size(), with.size());
+  int poses = 0;
+  for (std::size_t k = 0; k < with.size(); ++k) {
+    json rest = WithoutSeconds(with[k]);
+    poses += static_cast<int>(rest.erase("covariance"));
+    EXPECT_EQ(rest.contains("pose"), with[k].contains("covariance"));
+    EXPECT_EQ(rest, WithoutSeconds(plain[k]));
+  }
+  EXPECT_EQ(poses, 60);
+  // The last answer is about the map as it is at the end.
+  ASSERT_TRUE(with.back().contains("pose"));
+  ExpectMatrix(with.back()["covariance"],
+               SameRun(lines).Slam().Covariance({59}, {terse::CovarianceFrame::kWorldAxes, {}}));
+}
+
+TEST_F(OnlineCommand, RequestsChangeNothingAndAreNotInTheJournal) {
+  const auto lines = Measurements(60);
+  std::string asking;
+  for (std::size_t k = 0; k < lines.size(); ++k) {
+    asking += lines[k] + '\n';
+    if (k > 10) asking += "COVARIANCE 0 1\n";
+  }
+  const auto expected = Answers(Join(lines, 0, lines.size()), kOptions + "--journal without --output plain");
+  std::vector<json> decisions, answers;
+  for (const json& answer : Answers(asking, kOptions + "--journal with --output asked")) {
+    (answer.contains("covariance") ? answers : decisions).push_back(WithoutSeconds(answer));
+  }
+  EXPECT_EQ(answers.size(), lines.size() - 11);
+  ASSERT_EQ(decisions.size(), expected.size());
+  for (std::size_t k = 0; k < expected.size(); ++k) EXPECT_EQ(decisions[k], WithoutSeconds(expected[k]));
+  EXPECT_EQ(Read("with"), Read("without"));
+  ExpectSameResults("plain", "asked");
+  // The run that is resumed gives the same answer.
+  const auto resumed = Answers("COVARIANCE 0 1\n", kOptions + "--journal with");
+  ASSERT_EQ(resumed.size(), 2u);
+  EXPECT_EQ(resumed[0]["lines"], lines.size());
+  EXPECT_EQ(Read("with"), Read("without"));
+  EXPECT_EQ(resumed[1]["covariance"],
+            Answers(Join(lines, 0, lines.size()) + "FLUSH\nCOVARIANCE 0 1\n", kOptions + "--quiet")[0]["covariance"]);
+}
+
+TEST_F(OnlineCommand, RequestsThatMakeNoSenseAreNamed) {
+  const std::string odometry = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n";
+  const auto error = [&](const std::string& request) {
+    const auto answers = Answers(odometry + request + "\nFLUSH\n", kOptions);
+    EXPECT_EQ(answers.size(), 3u) << request;
+    return answers.at(1)["error"];
+  };
+  EXPECT_EQ(error("COVARIANCE 1"), "stdin:2: pose 1 is not closed yet; a blank line or FLUSH closes it");
+  EXPECT_EQ(error("COVARIANCE 0 7"), "stdin:2: pose 7 is unknown");
+  EXPECT_EQ(error("COVARIANCE 0 0"), "stdin:2: COVARIANCE of a pose seen from itself, expected two distinct poses");
+  EXPECT_EQ(error("COVARIANCE"), "stdin:2: COVARIANCE takes the id of a pose, or of two");
+  EXPECT_EQ(error("COVARIANCE 0x"), "stdin:2: COVARIANCE of \"0x\", expected the id of a pose");
+  EXPECT_EQ(error("COVARIANCES 0"), "stdin:2: expected a tag of the g2o format, the line starts with \"COVARIANCES\"");
+  Write("input", odometry + "COVARIANCE 9\n");
+  EXPECT_EQ(Run(kOptions + "--strict < input").exit_code, 1);
 }
 
 // Killed again and again, it ends as if it had never been.

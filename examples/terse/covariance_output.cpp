@@ -9,8 +9,8 @@
 namespace terse {
 namespace {
 
-const std::vector<std::pair<std::string, CovarianceFrame>> kFrames = {{"body", CovarianceFrame::kBody},
-                                                                      {"world", CovarianceFrame::kWorld}};
+const std::vector<std::pair<std::string, CovarianceFrame>> kFrames = {
+    {"body", CovarianceFrame::kBody}, {"world", CovarianceFrame::kWorld}, {"world-axes", CovarianceFrame::kWorldAxes}};
 const std::vector<std::pair<std::string, TangentOrder>> kOrders = {
     {"translation-first", TangentOrder::kTranslationFirst}, {"rotation-first", TangentOrder::kRotationFirst}};
 
@@ -26,8 +26,8 @@ std::string NameOf(Value wanted, const std::vector<std::pair<std::string, Value>
 
 std::vector<CLI::Option*> AddConventionOptions(CLI::App& subcommand, CovarianceConvention& convention) {
   return {AddChoice(subcommand, "--frame", convention.frame, kFrames,
-                    "Of covariances: of d in T Exp(d), or of e in Exp(e) T (for a relative pose, the frame of its "
-                    "first pose)"),
+                    "Of covariances: of d in T Exp(d), of e in Exp(e) T (for a relative pose, the frame of its first "
+                    "pose), or of position and rotation along the world's axes, as ROS has them"),
           AddChoice(subcommand, "--order", convention.order, kOrders, "Of rows and columns of covariances")};
 }
 

@@ -2,9 +2,11 @@
 #include <cmath>
 #include <iostream>
 #include <optional>
+#include <sstream>
 
 #include "commands.h"
 #include "compact_output.h"
+#include "covariance_output.h"
 #include "journal.h"
 #include "online_json.h"
 #include "policy.h"
@@ -28,7 +30,8 @@ struct OnlineCommandOptions {
   RobustOptions robust;
   Recovery recovery = Recovery::kV2;
   ReadOptions read;
-  bool strict = false, quiet = false;
+  CovarianceConvention convention;
+  bool covariances = false, strict = false, quiet = false;
   LogSink log;
 };
 
@@ -113,6 +116,7 @@ class OnlineRun {
   void Take(const std::string& text, long number) {
     const double before = SecondsNow();
     if (IsFlush(text) ? !stream_.Open() : IsComment(text)) return;
+    if (IsRequest(text)) return Answer(text, number);
     std::vector<StreamOutcome> outcomes;
     try {
       outcomes = Apply(text, number);
@@ -133,6 +137,10 @@ class OnlineRun {
     const double seconds = SecondsNow() - before;
     for (const StreamOutcome& outcome : outcomes) {
       ordered_json json = ToJson(outcome, slam_);
+      const auto* decision = std::get_if<Decision>(&outcome);
+      if (decision != nullptr && options_.covariances) {
+        json["covariance"] = RowsJson(slam_.Covariance(decision->id, options_.convention));
+      }
       json["seconds"] = seconds;
       Print(json);
     }
@@ -161,6 +169,11 @@ class OnlineRun {
   static constexpr char kFlush[] = "FLUSH", kFailed = '!';
 
   static bool IsFlush(const std::string& text) { return text.empty() || text == kFlush; }
+  static bool IsRequest(const std::string& text) {
+    const std::size_t size = kCovariance.size();
+    if (text.compare(0, size, kCovariance) != 0) return false;
+    return text.size() == size || std::string_view(kBlanks).find(text[size]) != std::string_view::npos;
+  }
   static bool IsComment(const std::string& text) { return text[0] == '#' || text.compare(0, 2, "//") == 0; }
 
   std::vector<StreamOutcome> Apply(const std::string& text, long number) {
@@ -185,6 +198,48 @@ class OnlineRun {
     slam_.RemoveLink(id);
   }
 
+  // A request changes nothing, so the journal does not hold it; but what it tells follows from the lines before.
+  void Answer(const std::string& text, long number) {
+    const double before = SecondsNow();
+    try {
+      ordered_json json =
+          CovarianceJson(ParseRequest(text.substr(kCovariance.size()), number), slam_, options_.convention);
+      json["seconds"] = SecondsNow() - before;
+      if (journal_ != nullptr) journal_->Sync();
+      Print(json);
+    } catch (const FileError& error) {
+      if (error.path() != kSource) throw;  // the journal's
+      Refuse(error);
+    } catch (const NumericalError& error) {
+      Refuse(FileError(kSource, number, error.what()));
+    }
+  }
+
+  // One pose, or two.
+  std::vector<PoseId> ParseRequest(const std::string& text, long number) const {
+    std::vector<PoseId> poses;
+    std::istringstream words(text);
+    for (std::string word; words >> word;) {
+      PoseId id;
+      const std::from_chars_result end = std::from_chars(word.data(), word.data() + word.size(), id.value);
+      if (end.ec != std::errc() || end.ptr != word.data() + word.size()) {
+        throw FileError(kSource, number, "COVARIANCE of \"" + word + "\", expected the id of a pose");
+      }
+      if (stream_.Open() == id) {
+        throw FileError(kSource, number, "pose " + word + " is not closed yet; a blank line or FLUSH closes it");
+      }
+      if (!slam_.HasSeen(id)) throw FileError(kSource, number, "pose " + word + " is unknown");
+      poses.push_back(id);
+    }
+    if (poses.empty() || poses.size() > 2) {
+      throw FileError(kSource, number, "COVARIANCE takes the id of a pose, or of two");
+    }
+    if (poses.size() == 2 && poses[0] == poses[1]) {
+      throw FileError(kSource, number, "COVARIANCE of a pose seen from itself, expected two distinct poses");
+    }
+    return poses;
+  }
+
   void Record(const std::string& text) {
     if (journal_ != nullptr) journal_->Append(text);
   }
@@ -203,7 +258,7 @@ class OnlineRun {
     FlushOutput();
   }
 
-  static constexpr std::string_view kRemove = "REMOVE ";
+  static constexpr std::string_view kRemove = "REMOVE ", kCovariance = "COVARIANCE";
 
   const OnlineCommandOptions& options_;
   CompactPoseSlam<Pose> slam_;
@@ -379,11 +434,14 @@ void AddOnlineCommand(CLI::App& app) {
   AddChoice(*command, "--recover", options->recovery,
             {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
             "How dropped poses come back, see compact");
+  command->add_flag("--covariances", options->covariances, "Every answer to a pose has its covariance too");
+  AddConventionOptions(*command, options->convention);
   command->add_flag("--strict", options->strict, "Stop at the first bad line");
-  command->add_flag("--quiet", options->quiet, "Write errors only, no decisions");
+  command->add_flag("--quiet", options->quiet, "Write errors and what COVARIANCE asks for only, no decisions");
   AddVerboseOption(*command, options->log);
   command->footer(
-      "A blank line or FLUSH closes the pose at hand, REMOVE ID takes a link out.\n"
+      "A blank line or FLUSH closes the pose at hand, REMOVE ID takes a link out, COVARIANCE ID [ID] answers how well\n"
+      "a pose is known (the second seen from the first).\n"
       "Example: terse generate ellipse --output measurements.g2o &&\n"
       "         terse online --range 10 10 10 1.5 --journal run.journal < measurements.g2o");
   command->callback([options] { Online(*options); });

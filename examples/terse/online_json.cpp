@@ -1,5 +1,7 @@
 #include "online_json.h"
 
+#include "covariance_output.h"
+
 namespace terse {
 namespace {
 
@@ -39,7 +41,7 @@ ordered_json DecisionJson(const Decision& d, const CompactPoseSlam<Pose>& slam) 
           {"verdict", Name(d.verdict)},
           {"pose_gain", OrNull(d.pose_gain)},
           {"links", links},
-          {"estimate", Numbers(slam.Estimate(d.id))}};
+          {"estimate", Numbers(slam.Estimate(d.id, Recovery::kV2))}};
 }
 
 ordered_json LateLinkJson(const LateLink& link) {
@@ -64,10 +66,48 @@ ordered_json ToJson(const StreamOutcome& outcome, const CompactPoseSlam<Pose>& s
   return {{"prior", prior.pose.value}, {"kept", prior.kept.value}, {"factor", prior.factor.value}};
 }
 
+ordered_json RowsJson(const MatrixX& covariance) {
+  if (!covariance.allFinite()) return nullptr;
+  ordered_json rows = ordered_json::array();
+  for (Eigen::Index r = 0; r < covariance.rows(); ++r) {
+    ordered_json row = ordered_json::array();
+    for (Eigen::Index c = 0; c < covariance.cols(); ++c) row.push_back(covariance(r, c));
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+template <class Pose>
+ordered_json CovarianceJson(const std::vector<PoseId>& poses, const CompactPoseSlam<Pose>& slam,
+                            const CovarianceConvention& convention) {
+  const bool is_pair = poses.size() == 2;
+  const PoseId first = poses.front(), last = poses.back();
+  const MatrixX covariance =
+      is_pair ? slam.RelativeCovariance(first, last, convention) : slam.Covariance(first, convention);
+  RequireFinite(covariance);
+  const Pose T_world_last = slam.Estimate(last, Recovery::kV2);
+  ordered_json json;
+  if (is_pair) {
+    json = {{"from", first.value},
+            {"to", last.value},
+            {"estimate", Numbers(slam.Estimate(first, Recovery::kV2).Inverse() * T_world_last)}};
+  } else {
+    json = {{"ids", {first.value}}, {"kept", slam.KeptBase(first) == first}, {"estimate", Numbers(T_world_last)}};
+  }
+  json["frame"] = Name(convention.frame);
+  json["order"] = Name(convention.order);
+  json["covariance"] = RowsJson(covariance);
+  return json;
+}
+
 std::string OneLine(const ordered_json& json) {
   return json.dump(-1, ' ', false, ordered_json::error_handler_t::replace) + '\n';
 }
 
+template ordered_json CovarianceJson<SE2>(const std::vector<PoseId>&, const CompactPoseSlam<SE2>&,
+                                          const CovarianceConvention&);
+template ordered_json CovarianceJson<SE3>(const std::vector<PoseId>&, const CompactPoseSlam<SE3>&,
+                                          const CovarianceConvention&);
 template ordered_json ToJson<SE2>(const StreamOutcome&, const CompactPoseSlam<SE2>&);
 template ordered_json ToJson<SE3>(const StreamOutcome&, const CompactPoseSlam<SE3>&);
 

@@ -3,6 +3,7 @@
 
 #include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "terse/compact/measurement_stream.h"
 
@@ -10,6 +11,13 @@ namespace terse {
 
 template <class Pose>
 nlohmann::ordered_json ToJson(const StreamOutcome& outcome, const CompactPoseSlam<Pose>& slam);
+
+// The covariance of one pose, or of the second seen from the first. Throws NumericalError if it is not finite.
+template <class Pose>
+nlohmann::ordered_json CovarianceJson(const std::vector<PoseId>& poses, const CompactPoseSlam<Pose>& slam,
+                                      const CovarianceConvention& convention);
+// Row by row; null if it is not finite.
+nlohmann::ordered_json RowsJson(const MatrixX& covariance);
 
 // Text that is no UTF-8 becomes replacement characters.
 std::string OneLine(const nlohmann::ordered_json& json);

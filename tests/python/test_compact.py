@@ -142,6 +142,41 @@ def test_links_and_priors_that_come_late():
     assert slam.kept_base(30) == 30 and slam.graph().num_factors == 80
 
 
+def test_covariances_of_any_pose():
+    """Beside the graph in which the dropped poses are poses like all others, with the links that were kept."""
+    graph, _ = square(3)
+    slam = terse.CompactPoseSlam(options_of_square(min_pose_gain=4))
+    decisions = slam.run(terse.GraphReplay(graph))
+    slam.finish()
+    trajectory = slam.trajectory()
+    links = {frozenset((d.pose_id, c.pose_id)) for d in decisions for c in d.candidates if c.accepted}
+    everything = terse.PoseGraph(2)
+    everything.add_poses(trajectory.ids, trajectory.poses)
+    edges = graph.edges()
+    for k, pair in enumerate(zip(edges.from_ids, edges.to_ids)):
+        if abs(pair[0] - pair[1]) == 1 or frozenset(pair) in links:
+            everything.add_factor(graph.factor(k))
+    marginals = terse.Marginals(everything)
+    assert slam.poses_kept < 100 and slam.links_kept > 3
+    for k in range(1, 120):
+        np.testing.assert_array_equal(slam.estimate(k, "v2"), trajectory.poses[k])
+        # To first order: residuals of some standard deviations are left out.
+        expected = marginals.marginal(k)
+        np.testing.assert_allclose(slam.covariance(k), expected, atol=0.02 * np.abs(expected).max())
+        expected = marginals.relative(k // 2, k)
+        np.testing.assert_allclose(slam.relative_covariance(k // 2, k), expected, atol=0.05 * np.abs(expected).max())
+        R = terse.to_matrices(slam.estimate(k, "v2")) * [[1, 1, 0], [1, 1, 0], [0, 0, 1]]
+        axes = slam.covariance(k, frame="world_axes", order="rotation_first")[np.ix_([1, 2, 0], [1, 2, 0])]
+        np.testing.assert_allclose(axes, R @ slam.covariance(k) @ R.T, rtol=1e-9, atol=1e-15)
+    kept = int(trajectory.ids[trajectory.kept][-1])
+    np.testing.assert_allclose(slam.covariance(kept), slam.marginals().marginal(kept), rtol=1e-9, atol=1e-15)
+    for call in (lambda: slam.covariance(1000), lambda: slam.relative_covariance(3, 3), lambda: slam.estimate(3, "v4")):
+        with pytest.raises(ValueError):
+            call()
+    with pytest.raises(ValueError, match="frame: expected one of body, world, world_axes"):
+        slam.covariance(3, frame="world-axes")
+
+
 def test_save_and_load(tmp_path, ellipse, thresholds):
     def run(part, slam, replay):
         return [slam.add(pose, replay) for pose in list(replay)[part]]

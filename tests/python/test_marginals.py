@@ -73,7 +73,10 @@ def test_relative_and_conventions(solved):
     close(marginals.relative(20, 45, frame="world"), adjoint(T) @ expected @ adjoint(T).T)
     order = [2, 0, 1]
     close(marginals.marginal(9, order="rotation_first"), marginals.marginal(9)[np.ix_(order, order)])
-    with pytest.raises(ValueError, match="frame: expected one of body, world"):
+    R = np.eye(3)
+    R[:2, :2] = T[:2, :2]
+    close(marginals.relative(20, 45, frame="world_axes"), R @ expected @ R.T)
+    with pytest.raises(ValueError, match="frame: expected one of body, world, world_axes"):
         marginals.marginal(9, frame="sky")
 
 

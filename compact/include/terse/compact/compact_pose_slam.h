@@ -45,7 +45,8 @@ class PoseIndex;
 
 // How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Eq. 24): chained to the kept pose before
 // them. kV2 (Eqs. 25-26): that chain's misfit at the next kept pose spread over it by its covariance; behind the last
-// kept pose as kV1.
+// kept pose as kV1, but where odometry went on from a dropped pose whose own chain has ended, from that one as
+// recovered.
 enum class Recovery { kV0, kV1, kV2 };
 
 template <class Pose>
@@ -105,6 +106,14 @@ class CompactPoseSlam {
   std::vector<RecoveredPose<Pose>> Trajectory(Recovery recovery = Recovery::kV2) const;
   // Of any pose seen, kept or dropped, in the present map (as kV1).
   Pose Estimate(PoseId id) const;
+  Pose Estimate(PoseId id, Recovery recovery) const;
+  // Of any pose seen, kept or dropped, in the present map, to first order; of a dropped one where Recovery::kV2 puts
+  // it: what the kept poses that its chain joins leave open, and what the chain does not know between them
+  // (docs/algorithms.md). As if the dropped poses were in the graph with their odometry alone. O(length of the chain)
+  // and two paths of the factor. Throws std::invalid_argument if unknown.
+  typename Pose::Jacobian Covariance(PoseId id, const CovarianceConvention& convention = {}) const;
+  // Of T_a_b, likewise; poses on one chain are correlated through it. Throws std::invalid_argument if a is b too.
+  typename Pose::Jacobian RelativeCovariance(PoseId a, PoseId b, const CovarianceConvention& convention = {}) const;
 
   // The whole state, versioned, checksummed, written to a temporary file and renamed (core/state_file.h). What is
   // loaded continues bit by bit as the one saved would have, on the same build and processor family. Throw FileError.
@@ -128,6 +137,7 @@ class CompactPoseSlam {
     UncertainPose<Pose> T_base_pose;
     Pose T_world_body_when_seen;
     int previous = -1;  // the pose its odometry comes from, in history_
+    int successors = 0;  // poses whose odometry comes from it
     bool kept = true;
     // A dropped pose's chain as it ends at the next kept pose.
     std::optional<PoseId> next_kept;
@@ -191,6 +201,15 @@ class CompactPoseSlam {
   UncertainPose<Pose> KnownDisplacement(int pose, int base) const;
   std::vector<Ask> InReach(const Current& current, bool plausible);
   std::vector<Evaluated> Evaluate(const Current& current, const std::vector<Ask>& asks, bool plausible) const;
+  // compact_recovery.cpp
+  struct Bridge;
+  struct Error;
+  int EndedBefore(int pose) const;
+  Bridge BridgeOf(const Seen& seen, int ended) const;
+  Pose Recover(const Seen& seen, int ended) const;
+  Error ErrorOf(PoseId id) const;
+  typename Pose::Jacobian CovarianceOf(const Error& error) const;
+  typename Pose::Jacobian ChainCovariance(const Error& error) const;
   // compact_map.cpp
   std::vector<PoseId> ComposedOf(const RelativePoseFactor<Pose>& edge) const;
   void TakeHistory(const CompactMap<Pose>& map);

@@ -6,8 +6,14 @@
 
 namespace terse {
 
-// kBody: of d in T Exp(d). kWorld: of e in Exp(e) T, e = Ad(T) d. For a relative pose T_a_b "world" is frame a.
-enum class CovarianceFrame { kBody, kWorld };
+// Of which small error of the pose T = (R, t), metres and radians, the covariance is, to first order:
+//   kBody:      d in T Exp(d).
+//   kWorld:     e in Exp(e) T, e = Ad(T) d. It turns about the world's origin.
+//   kWorldAxes: [u; w] in (Exp(w) R, t + u), u = R rho, w = R phi: where the body's origin is, and how the body is
+//               turned, both along the world's axes. R Sigma R' on every block. What ROS's
+//               geometry_msgs/PoseWithCovariance holds, with kTranslationFirst, row by row. In the plane w = phi.
+// For a relative pose T_a_b "world" is frame a.
+enum class CovarianceFrame { kBody, kWorld, kWorldAxes };
 // [rho; phi] or [phi; rho].
 enum class TangentOrder { kTranslationFirst, kRotationFirst };
 
@@ -17,7 +23,11 @@ struct CovarianceConvention {
   bool IsNative() const { return frame == CovarianceFrame::kBody && order == TangentOrder::kTranslationFirst; }
 };
 
-// From body frame, translation first, to another convention; T is the pose the covariance belongs to.
+// From one convention to another; T is the pose the covariance belongs to. Exact: all are linear in d.
+template <class Pose>
+typename Pose::Jacobian ConvertCovariance(const typename Pose::Jacobian& covariance, const Pose& T,
+                                          const CovarianceConvention& from, const CovarianceConvention& to);
+// From body frame, translation first.
 template <class Pose>
 typename Pose::Jacobian ConvertCovariance(const typename Pose::Jacobian& covariance, const Pose& T,
                                           const CovarianceConvention& to);

@@ -35,9 +35,17 @@ class PoseMarginals {
   // Of the stacked perturbations of poses, kDof rows each in the order given. Computed as a Gram matrix: symmetric,
   // and positive semidefinite but for the rounding of its entries.
   MatrixX Joint(const std::vector<PoseId>& ids, const CovarianceConvention& convention = {}) const;
-  // Of T_a_b = T_world_a^-1 T_world_b. kBody: T_a_b Exp(d); kWorld: Exp(e) T_a_b, that is, in a's frame.
+  // Of T_a_b = T_world_a^-1 T_world_b. kBody: T_a_b Exp(d); kWorld: Exp(e) T_a_b, that is, in a's frame; kWorldAxes:
+  // along a's axes.
   // Computed as a Gram matrix, not as the difference of the poses' own covariances.
   Jacobian Relative(PoseId a, PoseId b, const CovarianceConvention& convention = {}) const;
+  // Of the sum of A d over distinct poses, d each one's perturbation (body frame, translation first): whatever depends
+  // on several poses, to first order. A Gram matrix too.
+  struct Term {
+    PoseId id;
+    Jacobian A;
+  };
+  Jacobian Combination(const std::vector<Term>& terms) const;
 
  protected:
   // All by pose index.

@@ -1,0 +1,246 @@
+// Where dropped poses are in the present map, and how well that is known (S, Eqs. 24-26, and beyond them their
+// covariance).
+//
+// With T_base_pose = Exp(l) M, M the composed odometry, the error l of a chain grows by independent steps from pose to
+// pose, l_k = l_{k-1} + a step: Cov(l_j, l_k) = P of the last pose that both chains lead through, P = Ad(M) C Ad(M)'
+// the covariance gathered up to there. A kept pose n at the end of the chain gives l_n = e away, e the misfit in
+// T_base_n = Exp(e) M_n. Then
+//   l_k = K e + c,   K = P_k P_n^-1,   c = l_k - K l_n independent of e:
+// K e is kV2, and the pose's error is that of its base and of n, and c. The odometry of the chain is a factor of the
+// map already, so what is known of base and n is all that is known of e.
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <stdexcept>
+
+#include "compact_pose_slam_parts.h"
+
+namespace terse {
+namespace {
+
+using std::size_t;
+constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+// P.
+template <class Pose>
+typename Pose::Jacobian AtBase(const UncertainPose<Pose>& chain) {
+  const typename Pose::Jacobian A = chain.T_a_b.Adjoint();
+  return A * chain.covariance * A.transpose();
+}
+
+// K of what shares P with a chain that ends with P_end.
+template <class Jacobian>
+Jacobian Share(const Jacobian& P, const Jacobian& P_end) {
+  return P_end.llt().solve(P).transpose();
+}
+
+// A difference of two covariances, one gathered on the way to the other: none of it is negative. With the fourth order
+// it can come out so on steps of some tenths of a radian, for what the order leaves out.
+template <class Jacobian>
+Jacobian Gathered(const Jacobian& P, const Jacobian& P_older) {
+  const Jacobian difference = (P - P_older + (P - P_older).transpose()) / 2;
+  if (difference.llt().info() == Eigen::Success) return difference;
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(difference);
+  return eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0).asDiagonal() * eigen.eigenvectors().transpose();
+}
+
+}  // namespace
+
+// The error of a pose, or of one pose seen from another, to first order: the sum of A d over kept poses, and of C l
+// over chains from their base to `at`, in history_: a dropped pose, or the kept one where its chain ends.
+template <class Pose>
+struct CompactPoseSlam<Pose>::Error {
+  using Jacobian = typename Pose::Jacobian;
+  struct Chain {
+    int at;
+    Jacobian C, P;
+  };
+
+  void AddKept(PoseId id, const Jacobian& A) {
+    const auto it = std::find_if(kept.begin(), kept.end(), [&](const auto& term) { return term.id == id; });
+    it == kept.end() ? kept.push_back({id, A}) : void(it->A += A);
+  }
+  void AddChain(const Chain& chain) {
+    const auto it = std::find_if(chains.begin(), chains.end(), [&](const Chain& c) { return c.at == chain.at; });
+    it == chains.end() ? chains.push_back(chain) : void(it->C += chain.C);
+  }
+  void Add(const Jacobian& factor, const Error& other) {
+    for (const auto& term : other.kept) AddKept(term.id, factor * term.A);
+    for (const Chain& chain : other.chains) AddChain({chain.at, factor * chain.C, chain.P});
+  }
+
+  Pose T_world_body;
+  std::vector<typename PoseMarginals<Pose>::Term> kept;
+  std::vector<Chain> chains;
+};
+
+// The last pose of a dropped one's chain, itself or before it, whose chain has ended at a kept pose; -1 if none. Both
+// chains lead through it.
+template <class Pose>
+int CompactPoseSlam<Pose>::EndedBefore(int pose) const {
+  while (pose >= 0 && !history_[At(pose)].kept && !history_[At(pose)].next_kept) pose = history_[At(pose)].previous;
+  return pose >= 0 && !history_[At(pose)].kept ? pose : -1;
+}
+
+// How a chain of dropped poses lies between the kept poses that it joins; e and K are zero if it has not ended.
+template <class Pose>
+struct CompactPoseSlam<Pose>::Bridge {
+  Pose T_world_base, T_base_next;
+  typename Pose::Tangent e = Pose::Tangent::Zero();
+  typename Pose::Jacobian K = Pose::Jacobian::Zero(), P_next = Pose::Jacobian::Zero();
+};
+
+template <class Pose>
+typename CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(const Seen& seen, int ended) const {
+  Bridge bridge;
+  bridge.T_world_base = solver_->Estimate(seen.base);
+  if (ended < 0) return bridge;
+  const Seen& shared = history_[At(ended)];
+  bridge.T_base_next = bridge.T_world_base.Inverse() * solver_->Estimate(*shared.next_kept);
+  bridge.e = (bridge.T_base_next * shared.T_base_next.T_a_b.Inverse()).Log();
+  bridge.P_next = AtBase(shared.T_base_next);
+  bridge.K = Share(AtBase(shared.T_base_pose), bridge.P_next);
+  return bridge;
+}
+
+// A dropped pose as kV2.
+template <class Pose>
+Pose CompactPoseSlam<Pose>::Recover(const Seen& seen, int ended) const {
+  const Bridge bridge = BridgeOf(seen, ended);
+  return bridge.T_world_base * Pose::Exp(bridge.K * bridge.e) * seen.T_base_pose.T_a_b;
+}
+
+template <class Pose>
+Pose CompactPoseSlam<Pose>::Estimate(PoseId id) const {
+  return Estimate(id, Recovery::kV1);
+}
+
+template <class Pose>
+Pose CompactPoseSlam<Pose>::Estimate(PoseId id, Recovery recovery) const {
+  const Seen& seen = Find(id);
+  if (seen.kept) return solver_->Estimate(id);
+  if (recovery == Recovery::kV0) return seen.T_world_body_when_seen;
+  return Recover(seen, recovery == Recovery::kV2 ? EndedBefore(index_.at(id.value)) : -1);
+}
+
+template <class Pose>
+std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery recovery) const {
+  std::vector<RecoveredPose<Pose>> out;
+  std::vector<int> ended(history_.size(), -1);  // EndedBefore, without walking every chain anew
+  for (size_t k = 0; k < history_.size(); ++k) {
+    const Seen& seen = history_[k];
+    if (!seen.kept && recovery == Recovery::kV2) {
+      ended[k] = seen.next_kept ? static_cast<int>(k) : ended[At(seen.previous)];
+      out.push_back({seen.id, false, Recover(seen, ended[k])});
+    } else {
+      out.push_back({seen.id, seen.kept, Estimate(seen.id, recovery)});
+    }
+  }
+  return out;
+}
+
+template <class Pose>
+typename CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId id) const {
+  using Jacobian = typename Pose::Jacobian;
+  const Jacobian I = Jacobian::Identity();
+  const Seen& seen = Find(id);
+  Error error;
+  if (seen.kept) {
+    error.T_world_body = solver_->Estimate(id);
+    error.AddKept(id, I);
+    return error;
+  }
+  const int at = index_.at(id.value), ended = EndedBefore(at);
+  const Bridge bridge = BridgeOf(seen, ended);
+  const typename Pose::Tangent shared = bridge.K * bridge.e;
+  const Pose T_base_pose = Pose::Exp(shared) * seen.T_base_pose.T_a_b;
+  const Jacobian A = T_base_pose.Inverse().Adjoint(), J = Pose::LeftJacobian(shared),
+                 G = J * bridge.K * Pose::LeftJacobianInverse(bridge.e);
+  error.T_world_body = bridge.T_world_base * T_base_pose;
+  // e changes by Jl(e)^-1 (Ad(T_base_next) d_next - d_base), and T_base_pose by Exp(Jl(K e) dl) on the left.
+  error.AddKept(seen.base, A * (I - G));
+  error.AddChain({at, A * J, AtBase(seen.T_base_pose)});
+  if (ended >= 0) {
+    const PoseId next = *history_[At(ended)].next_kept;
+    error.AddKept(next, A * G * bridge.T_base_next.Adjoint());
+    error.AddChain({index_.at(next.value), -A * J * bridge.K, bridge.P_next});
+  }
+  return error;
+}
+
+// Of the sum of C l. The chains are walked towards their bases, the newest pose first, so that chains that lead through
+// one pose meet there: behind it they are one error with the sum of their C. Each stretch walked adds what the chain
+// gathered on it, a difference of two P. No large parts cancel.
+template <class Pose>
+typename Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error& error) const {
+  using Jacobian = typename Pose::Jacobian;
+  using Chain = typename Error::Chain;  // P: at the newer end of the stretch
+  Jacobian sum = Jacobian::Zero();
+  const auto add = [&](const Chain& chain, const Jacobian& P_older_end) {
+    sum += chain.C * Gathered<Jacobian>(chain.P, P_older_end) * chain.C.transpose();
+  };
+  std::vector<Chain> chains = error.chains;
+  while (!chains.empty()) {
+    const auto newest =
+        std::max_element(chains.begin(), chains.end(), [](const Chain& a, const Chain& b) { return a.at < b.at; });
+    const int previous = history_[At(newest->at)].previous;
+    if (previous < 0 || history_[At(previous)].kept) {
+      add(*newest, Jacobian::Zero());
+      chains.erase(newest);
+      continue;
+    }
+    const auto met = std::find_if(chains.begin(), chains.end(), [&](const Chain& c) { return c.at == previous; });
+    newest->at = previous;
+    if (met == chains.end()) continue;
+    const Jacobian P = AtBase(history_[At(previous)].T_base_pose);
+    add(*newest, P);
+    add(*met, P);
+    met->C += newest->C;
+    met->P = P;
+    chains.erase(newest);
+  }
+  return sum;
+}
+
+template <class Pose>
+typename Pose::Jacobian CompactPoseSlam<Pose>::CovarianceOf(const Error& error) const {
+  const typename Pose::Jacobian sum = marginals_->Combination(error.kept) + ChainCovariance(error);
+  return (sum + sum.transpose()) / 2;
+}
+
+template <class Pose>
+typename Pose::Jacobian CompactPoseSlam<Pose>::Covariance(PoseId id, const CovarianceConvention& convention) const {
+  const Error error = ErrorOf(id);
+  return ConvertCovariance<Pose>(CovarianceOf(error), error.T_world_body, convention);
+}
+
+template <class Pose>
+typename Pose::Jacobian CompactPoseSlam<Pose>::RelativeCovariance(PoseId a, PoseId b,
+                                                                  const CovarianceConvention& convention) const {
+  const Error of_a = ErrorOf(a);
+  Error error = ErrorOf(b);
+  if (a == b) throw std::invalid_argument("a relative pose needs two distinct poses");
+  const Pose T_a_b = of_a.T_world_body.Inverse() * error.T_world_body;
+  // d_ab = d_b - Ad(T_a_b^-1) d_a.
+  error.Add(-typename Pose::Jacobian(T_a_b.Inverse().Adjoint()), of_a);
+  return ConvertCovariance<Pose>(CovarianceOf(error), T_a_b, convention);
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                         \
+  template int CompactPoseSlam<Pose>::EndedBefore(int) const;                                           \
+  template CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(const Seen&, int) const;       \
+  template Pose CompactPoseSlam<Pose>::Recover(const Seen&, int) const;                                 \
+  template Pose CompactPoseSlam<Pose>::Estimate(PoseId) const;                                          \
+  template Pose CompactPoseSlam<Pose>::Estimate(PoseId, Recovery) const;                                \
+  template std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery) const;          \
+  template CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId) const;                   \
+  template Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error&) const;                   \
+  template Pose::Jacobian CompactPoseSlam<Pose>::CovarianceOf(const Error&) const;                      \
+  template Pose::Jacobian CompactPoseSlam<Pose>::Covariance(PoseId, const CovarianceConvention&) const; \
+  template Pose::Jacobian CompactPoseSlam<Pose>::RelativeCovariance(PoseId, PoseId, const CovarianceConvention&) const;
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse
