@@ -28,10 +28,10 @@ class Recorder {
  public:
   explicit Recorder(const PoseGraph<Pose>& graph) : replay_(graph), Sigma_y_(replay_.LinkCovariance()), slam_(All()) {}
 
-  Recorded<Pose> Record(long poses) {
-    for (long k = 0; k < poses; ++k) {
+  Recorded<Pose> Record(const std::vector<long>& looked_at) {
+    for (long k = 0; !looked_at.empty() && k <= looked_at.back(); ++k) {
       const auto& input = replay_.Inputs()[static_cast<std::size_t>(k)];
-      if (k > 0) Look(input);
+      if (k > 0 && std::binary_search(looked_at.begin(), looked_at.end(), k)) Look(input);
       slam_.AddPose(input, replay_.AsRegistration());
     }
     return out_;
@@ -113,7 +113,9 @@ void ExpectAsRecorded(const PoseGraph<Pose>& graph, double share, double toleran
   options.share = share;
   const auto chosen = SelectThresholds(graph, options);
   ASSERT_EQ(chosen.sample_poses, std::lround(share * static_cast<double>(graph.Poses().size())));
-  const auto recorded = Recorder<Pose>(graph).Record(chosen.sample_poses);
+  const auto looked_at = SamplePositions(static_cast<long>(graph.Poses().size()), chosen.sample_poses);
+  const auto recorded = Recorder<Pose>(graph).Record(looked_at);
+  ASSERT_EQ(static_cast<std::size_t>(chosen.sample_loops), recorded.loop_gains.size()) << "none is left out";
   const double loop = Percentile90(recorded.loop_gains), pose = Percentile90(recorded.pose_gains);
   // Below 0.05 nat gains are not told apart.
   EXPECT_NEAR(chosen.loop_gain_90, loop, loop < 0.05 ? 0.05 : tolerance * loop);
@@ -207,6 +209,68 @@ TEST(ThresholdsScenes, WrongLoopsAreLeftOut) {
   ExpectNoTraceOfWrongLoops(testing::MakeScene<SE3>(Scene::kSphere, 120), 10);
 }
 
+// Of each part of the run one pose, the last parts too.
+TEST(SamplePositionsTest, AreSpreadOverTheRun) {
+  for (const long poses : {1L, 7L, 100L, 100003L}) {
+    for (const long count : {0L, 1L, 5L, poses / 2, poses}) {
+      if (count > poses) continue;
+      const auto at = SamplePositions(poses, count);
+      ASSERT_EQ(static_cast<long>(at.size()), count);
+      for (long k = 0; k < count; ++k) {
+        EXPECT_GE(at[static_cast<std::size_t>(k)], k * poses / count);
+        EXPECT_LT(at[static_cast<std::size_t>(k)], (k + 1) * poses / count);
+      }
+      EXPECT_EQ(at, SamplePositions(poses, count)) << "the same ones every time";
+    }
+  }
+}
+
+// On lap after lap a pose has ever more links: what is looked at and what joins the map does not grow with them, and
+// what is chosen is what a look at every pose would choose.
+TEST(ThresholdsScenes, ManyLinksCostNoMore) {
+  PoseGraph<SE3> graph;
+  GenerateOptions generate;
+  generate.scene = Scene::kEllipseN;
+  generate.laps = 4;
+  GenerateSink<SE3> sink;
+  sink.pose = [&](PoseId id, const SE3& T) { graph.AddPose(id, T); };
+  sink.edge = [&](const RelativePoseFactor<SE3>& edge) { graph.AddFactor(edge); };
+  Generate(generate, sink);
+  const auto poses = static_cast<long>(graph.Poses().size());
+  ASSERT_GT(GraphReplay<SE3>(graph).LinksOffered(), 15 * poses) << "many";
+  SampleOptions options;
+  options.innovation_quantile = 0.9999;
+  const auto chosen = SelectThresholds(graph, options);
+  EXPECT_EQ(chosen.sample_poses, 200);
+  EXPECT_LE(chosen.sample_loops, 12 * chosen.sample_poses);
+  EXPECT_GT(chosen.sample_loops, 5 * chosen.sample_poses);
+  EXPECT_LE(chosen.sample_links, 4 * poses);
+  EXPECT_GT(chosen.sample_links, 2 * poses);
+  options.share = 1;
+  options.most_poses = poses;
+  const auto all = SelectThresholds(graph, options);
+  EXPECT_EQ(all.sample_poses, poses);
+  EXPECT_NEAR(chosen.loop_gain_90, all.loop_gain_90, 0.1);
+  EXPECT_NEAR(chosen.min_loop_gain, all.min_loop_gain, 0.05 * all.min_loop_gain);
+  EXPECT_NEAR(chosen.range[0], all.range[0], 0.05 * all.range[0]);
+}
+
+// A far loop in the last tenth of a long run is seen: before, the sample ended at 60 % of it.
+TEST(ThresholdsScenes, LateLoopsAreSeen) {
+  PoseGraph<SE2> graph;
+  const Matrix<3, 3> information = 1e4 * Matrix<3, 3>::Identity();
+  constexpr int kPoses = 400, kTurn = 360;
+  for (int k = 0; k < kPoses; ++k) graph.AddPose(PoseId{k});
+  const SE2 step = SE2::Exp({1, 0, 2 * M_PI / kTurn});
+  for (int k = 1; k < kPoses; ++k) {
+    graph.AddFactor(RelativePoseFactor<SE2>{{k - 1}, {k}, step, information});
+    if (k >= kTurn) graph.AddFactor(RelativePoseFactor<SE2>{{k - kTurn}, {k}, SE2(), information});
+  }
+  const auto chosen = SelectThresholds(graph);
+  EXPECT_GT(chosen.sample_loops, 10);
+  EXPECT_GT(chosen.loop_gain_90, 0.3);
+}
+
 // Odometry so good that gains are next to nothing, and so bad that they are large: both ends of the bounds.
 TYPED_TEST(ThresholdsTest, AreBounded) {
   using Pose = TypeParam;
@@ -240,14 +304,15 @@ TYPED_TEST(ThresholdsTest, TheSampleIsWhatWasAskedFor) {
   SampleOptions options;
   EXPECT_EQ(SelectThresholds(graph, options).sample_poses, 22);
   long last = 0;
+  const long end = SamplePositions(36, 10).back() + 1;
   options.progress = [&](long done, long total) {
     EXPECT_EQ(done, ++last);
-    EXPECT_EQ(total, 10);
+    EXPECT_EQ(total, end);
   };
   options.most_poses = 10;
   const auto capped = SelectThresholds(graph, options);
   EXPECT_EQ(capped.sample_poses, 10);
-  EXPECT_EQ(last, 10);
+  EXPECT_EQ(last, end);
   options = {};
   options.share = 10 / 36.0;
   const auto same = SelectThresholds(graph, options);
