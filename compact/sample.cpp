@@ -15,27 +15,10 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
-constexpr double kPi = 3.14159265358979323846;
 // Gains below this are not told apart.
 constexpr double kLeastGain = 0.05;
 // Poses that join the map at once, at most: their chain is composed, not estimated, while their links are tested.
 constexpr size_t kMostPending = 20;
-
-// Per dimension the least range with which the displacement passes, by bisection.
-template <class Pose>
-Vector<Displacement<Pose>::kSize> LeastRange(const Displacement<Pose>& displacement, double probability) {
-  using Range = Vector<Displacement<Pose>::kSize>;
-  Range low = Range::Constant(1e-6);
-  Range high = displacement.mean.cwiseAbs() + 40 * displacement.covariance.diagonal().cwiseMax(0).cwiseSqrt();
-  high = high.cwiseMax(1e-3);
-  high[Pose::kDim] = kPi;
-  for (int k = 0; k < 50; ++k) {
-    const Range middle = (low + high) / 2;
-    const Range passed = RangeProbabilities<Pose>(displacement, middle);
-    for (int i = 0; i < passed.size(); ++i) (passed[i] > probability ? high : low)[i] = middle[i];
-  }
-  return high;
-}
 
 double MostInnovation(const SampleOptions& options, int dof) {
   return options.innovation_quantile ? ChiSquareQuantile(*options.innovation_quantile, dof)
@@ -71,9 +54,7 @@ PoseId OtherEnd(PoseId pose, PoseId from, PoseId to) { return from == pose ? to 
 
 template <class Pose>
 Sample<Pose>::Sample(const SampleOptions& options, GraphReplay<Pose>& replay)
-    : range(replay.LinkRange(options.distance)),
-      options_(options),
-      most_innovation_(MostInnovation(options, Pose::kDof)),
+    : most_innovation_(MostInnovation(options, Pose::kDof)),
       Sigma_y_(replay.LinkCovariance()),
       registration_(replay.AsRegistration()),
       solver_(SolverOptions()),
@@ -161,12 +142,7 @@ void Sample<Pose>::Look(const Pending& pose, const std::vector<Link>& loops) {
   if (good.size() < linked.size()) known.Keep(good);
   double least = InformationGain<Pose::kDof>(pose.T_root_pose.covariance, Sigma_y_);
   for (int k = 0; k < static_cast<int>(good.size()); ++k) {
-    const UncertainPose<Pose> T_loop_n = known.Displacement(k);
-    const auto displacement = ComputeDisplacement<Pose>(T_loop_n, options_.distance);
-    if (!(RangeProbabilities<Pose>(displacement, range).array() > options_.probability).all()) {
-      range = range.cwiseMax(LeastRange<Pose>(displacement, options_.probability));
-    }
-    least = std::min(least, InformationGain<Pose::kDof>(T_loop_n.covariance, Sigma_y_));
+    least = std::min(least, InformationGain<Pose::kDof>(known.Displacement(k).covariance, Sigma_y_));
   }
   pose_gains.push_back(least);
   loops_seen += static_cast<long>(good.size());

@@ -19,17 +19,15 @@ template <class Pose>
 class Sample {
  public:
   using Jacobian = typename Pose::Jacobian;
-  using Range = Vector<Displacement<Pose>::kSize>;
   // Of a pose, at most: loops looked at, links in the map.
   static constexpr int kMostLoops = 12, kMostLinks = 4;
 
-  // Refers to both.
+  // Refers to the replay.
   Sample(const SampleOptions& options, GraphReplay<Pose>& replay);
 
   // In order of arrival. A pose that is looked at tells what its loops would tell the map as it is.
   void Add(const CompactInput<Pose>& input, bool look);
 
-  Range range;  // the replay's LinkRange at least
   std::vector<double> loop_gains, pose_gains;
   long loops_seen = 0, links = 0;  // looked at; in the map
 
@@ -51,7 +49,6 @@ class Sample {
   void Flush();
   bool IsTested() const { return most_innovation_ < std::numeric_limits<double>::infinity(); }
 
-  const SampleOptions& options_;
   const double most_innovation_;
   const Jacobian Sigma_y_;
   Registration<Pose> registration_;

@@ -57,8 +57,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   }
   out.sample_loops = sample.loops_seen;
   out.sample_links = sample.links;
-  out.range = sample.range;
-  out.range.template head<Pose::kDim>().setConstant(out.range.template head<Pose::kDim>().maxCoeff());
+  out.range = replay.LinkRange(options.distance);
   out.loop_gain_90 = Percentile90(sample.loop_gains);
   out.pose_gain_90 = Percentile90(sample.pose_gains);
   out.min_loop_gain =

@@ -113,7 +113,7 @@ void BindGraphReplay(py::module_& module) {
           [](const Replay& r) {
             return std::visit([](auto& held) { return ArrayOfVector(held->LinkRange()); }, r.replay);
           },
-          "A sensor range that covers every link, as CompactOptions.range.")
+          "A sensor range that covers the links but for the longest of every hundred, as CompactOptions.range.")
       .def(
           "link_covariance",
           [](const Replay& r) {

@@ -20,7 +20,6 @@ using testing::Random;
 template <class Pose>
 struct Recorded {
   std::vector<double> loop_gains, pose_gains;
-  std::vector<Displacement<Pose>> displacements;  // of the loops, before any of their pose was added
 };
 
 template <class Pose>
@@ -63,7 +62,6 @@ class Recorder {
     std::vector<PoseId> left = *input.linkable;
     for (const PoseId loop : left) {
       const auto T = Seen(graph, points, loop, input.id);
-      out_.displacements.push_back(ComputeDisplacement<Pose>(T));
       least = std::min(least, Gain(T));
     }
     out_.pose_gains.push_back(least);
@@ -123,27 +121,7 @@ void ExpectAsRecorded(const PoseGraph<Pose>& graph, double share, double toleran
   ExpectFormulas(chosen);
   const GraphReplay<Pose> replay(graph);
   EXPECT_TRUE(chosen.link_covariance == replay.LinkCovariance());
-  EXPECT_TRUE((chosen.range.array() >= replay.LinkRange().array()).all());
-  if (recorded.displacements.empty()) {
-    EXPECT_TRUE(chosen.range == replay.LinkRange());
-  }
-  // Every loop of the sample passes, and where the range is not the links' own, one only just.
-  const Vector<Displacement<Pose>::kSize> less = chosen.range * 0.99;
-  Vector<Displacement<Pose>::kSize> worst, worst_of_less;
-  worst.setOnes();
-  worst_of_less.setOnes();
-  for (const auto& displacement : recorded.displacements) {
-    worst = worst.cwiseMin(RangeProbabilities<Pose>(displacement, chosen.range));
-    worst_of_less = worst_of_less.cwiseMin(RangeProbabilities<Pose>(displacement, less));
-  }
-  EXPECT_GT(worst.minCoeff(), options.probability * (1 - tolerance));
-  EXPECT_TRUE((chosen.range.template head<Pose::kDim>().array() == chosen.range[0]).all()) << "alike to all sides";
-  const auto expect_least = [&](int first, int count) {
-    if (chosen.range[first] <= replay.LinkRange()[first]) return;
-    EXPECT_LE(worst_of_less.segment(first, count).minCoeff(), options.probability * (1 + tolerance)) << first;
-  };
-  expect_least(0, Pose::kDim);
-  expect_least(Pose::kDim, 1);
+  EXPECT_TRUE(chosen.range == replay.LinkRange());
 }
 
 template <class Pose>
@@ -196,12 +174,9 @@ void ExpectNoTraceOfWrongLoops(const testing::RandomGraph<Pose>& scene, double p
   EXPECT_TRUE(same.range == expected.range) << "of true loops none is refused";
   EXPECT_EQ(same.loop_gain_90, expected.loop_gain_90);
   EXPECT_EQ(same.pose_gain_90, expected.pose_gain_90);
-  Vector<Displacement<Pose>::kSize> range = expected.range.cwiseMax(GraphReplay<Pose>(with.graph).LinkRange());
-  range.template head<Pose::kDim>().setConstant(range.template head<Pose::kDim>().maxCoeff());
-  EXPECT_LT((tested.range - range).norm(), 1e-6 * range.norm());
   EXPECT_NEAR(tested.loop_gain_90, expected.loop_gain_90, 1e-6 * expected.loop_gain_90);
   EXPECT_NEAR(tested.pose_gain_90, expected.pose_gain_90, 1e-6 * expected.pose_gain_90);
-  EXPECT_GT(believed.range[0], 1.2 * range[0]);
+  EXPECT_GT(believed.loop_gain_90, 1.05 * expected.loop_gain_90);
 }
 
 TEST(ThresholdsScenes, WrongLoopsAreLeftOut) {
@@ -269,6 +244,27 @@ TEST(ThresholdsScenes, LateLoopsAreSeen) {
   const auto chosen = SelectThresholds(graph);
   EXPECT_GT(chosen.sample_loops, 10);
   EXPECT_GT(chosen.loop_gain_90, 0.3);
+}
+
+// A single absurd link of hundreds says nothing of the sensor; drift does not widen the range.
+TEST(ThresholdsScenes, RangeIsTheSensors) {
+  const auto scene = testing::MakeScene<SE2>(Scene::kManhattan, 400);
+  PoseGraph<SE2> graph = scene.graph;
+  const auto plain = SelectThresholds(graph);
+  ASSERT_GT(GraphReplay<SE2>(graph).LinksOffered(), 100);
+  double longest = 0;
+  const GraphReplay<SE2> replay(graph);
+  for (const auto& input : replay.Inputs()) {
+    for (const PoseId other : *input.linkable) {
+      const auto at = [&](PoseId id) { return scene.truth[static_cast<std::size_t>(graph.IndexOf(id))]; };
+      longest = std::max(longest, (at(other).Inverse() * at(input.id)).Translation().norm());
+    }
+  }
+  EXPECT_LT(plain.range[0], 1.7 * longest) << "1.5 times what is measured, with its noise";
+  EXPECT_GT(plain.range[0], 0.9 * longest);
+  graph.AddFactor(RelativePoseFactor<SE2>{graph.Poses()[3].id, graph.Poses()[200].id, SE2::Exp({1000, 0, 0}),
+                                          Matrix<3, 3>::Identity()});
+  EXPECT_LT(SelectThresholds(graph).range[0], 1.1 * plain.range[0]);
 }
 
 // Odometry so good that gains are next to nothing, and so bad that they are large: both ends of the bounds.

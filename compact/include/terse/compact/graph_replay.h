@@ -30,8 +30,9 @@ class GraphReplay {
   // one run. Refers to this object.
   Registration<Pose> AsRegistration();
 
-  // A sensor range that covers every link (the odometry, if there are no links): 1.5 times the longest one's length
-  // in each direction, the largest angle but at least one radian.
+  // A sensor range that covers the links (the odometry, if there are no links): 1.5 times the longest one's length in
+  // each direction, the largest angle but at least one radian. Of every hundred links the longest does not count, nor
+  // does the one of the largest angle: it may be absurd.
   Vector<Displacement<Pose>::kSize> LinkRange(const DistanceOptions& options = {}) const;
   // Mean covariance of the links (of the odometry, if there are none).
   typename Pose::Jacobian LinkCovariance() const;

@@ -32,11 +32,8 @@ struct SampleOptions {
 
 // Replays the run up to the last pose that is looked at. All poses join the sample's map, but few of a pose's links,
 // each with the information of those that it stands for, so that time and memory do not grow with the number of links.
-// range: the least with which every loop looked at passes the distance test at s, but at least the replay's
-// LinkRange: a map with few links knows its displacements less well than the sample's, so its own loops would fail the
-// sample's range and, once they do, all later ones. Without any loop in the sample it is LinkRange. The same in all
-// directions of translation, the largest: w10000's links are seen about equally far to all sides, but its sample passes
-// with 8.8 m ahead and 2.2 m aside, which costs a compact run loops that it would need (ATE 9.1 m against 1.1 m).
+// range: the replay's LinkRange, that is, the sensor's own, by what all links of the run measure. The map's uncertainty
+// has no part in it: a displacement may be far beyond the range and still be plausibly within.
 // min_loop_gain: exp(1.36 ln(l90 + 1)) - 1, l90 being the 90th percentile of the links' gains as Algorithm 1 would add
 // them, best first and the rest evaluated again after each; between 1/2 and 1.5 nats per degree of freedom.
 // min_pose_gain: exp(1.7 ln(p90 + 1)) - 1, p90 being the percentile of the least gain per pose among its link to the
