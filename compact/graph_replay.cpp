@@ -18,6 +18,18 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // A sensor reaches a little beyond the longest of its links, and sees things from the side too.
 constexpr double kMargin = 1.5, kLeastAngle = 1.0;
+// Loops that are rarer than one at so many poses hardly tell how far the sensor reaches; one that follows what it sees
+// from pose to pose reaches over several.
+constexpr std::size_t kFewLinks = 100;
+constexpr double kStepsInRange = 5;
+
+// The largest but one in a hundred: links that are absurd say nothing of the sensor.
+double MostButFew(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto nth = values.end() - 1 - static_cast<long>(values.size() / 100);
+  std::nth_element(values.begin(), nth, values.end());
+  return *nth;
+}
 
 std::pair<std::int64_t, std::int64_t> Pair(PoseId a, PoseId b) { return std::minmax(a.value, b.value); }
 
@@ -208,19 +220,29 @@ Registration<Pose> GraphReplay<Pose>::AsRegistration() {
 
 template <class Pose>
 Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const DistanceOptions& options) const {
-  double reach = 0, angle = kLeastAngle;
+  std::vector<double> lengths, angles;
   const auto include = [&](const RelativePoseFactor<Pose>& edge) {
     const auto displacement = ComputeDisplacement<Pose>({edge.T_from_to}, options).mean;
-    reach = std::max(reach, displacement.template head<Pose::kDim>().norm());
-    angle = std::max(angle, std::abs(displacement[Pose::kDim]));
+    lengths.push_back(displacement.template head<Pose::kDim>().norm());
+    angles.push_back(std::abs(displacement[Pose::kDim]));
   };
   for (const auto& link : links_) include(link);
   for (const auto& input : inputs_) {
     if (links_.empty() && input.odometry) include(*input.odometry);
   }
+  double reach = kMargin * MostButFew(std::move(lengths));
+  if (links_.size() * kFewLinks < inputs_.size()) {
+    double path = 0, steps = 0;
+    for (const auto& input : inputs_) {
+      if (!input.odometry) continue;
+      path += input.odometry->T_from_to.Translation().norm();
+      ++steps;
+    }
+    if (steps > 0) reach = std::max(reach, kStepsInRange * path / steps);
+  }
   Vector<Displacement<Pose>::kSize> range;
-  range.setConstant(std::max(kMargin * reach, 1e-3));
-  range[Pose::kDim] = angle;
+  range.setConstant(std::max(reach, 1e-3));
+  range[Pose::kDim] = std::max(kLeastAngle, MostButFew(std::move(angles)));
   return range;
 }
 

@@ -129,7 +129,7 @@ void BindGraphReplay(py::module_& module) {
           [](const Replay& r) {
             return std::visit([](auto& held) { return ArrayOfVector(held->LinkRange()); }, r.replay);
           },
-          "A sensor range that covers every link, as CompactOptions.range.")
+          "A sensor range that covers the links but for the longest of every hundred, as CompactOptions.range.")
       .def(
           "link_covariance",
           [](const Replay& r) {
@@ -213,9 +213,9 @@ void BindThresholds(py::module_& module) {
            "CompactOptions with these thresholds; any of its attributes can be given by keyword.");
   module.def(
       "select_thresholds", &Select, py::arg("graph"), py::kw_only(), py::arg("probability") = 0.1,
-      py::arg("share") = 0.6, py::arg("most_poses") = 5000, py::arg("angle") = "view",
+      py::arg("share") = 0.6, py::arg("most_poses") = 200, py::arg("angle") = "view",
       py::arg("view_axis") = py::none(), py::arg("innovation_quantile") = py::none(), py::arg("progress") = py::none(),
-      "Chooses the thresholds of compact pose SLAM from the first poses of a PoseGraph (Thresholds).\n\n"
+      "Chooses the thresholds of compact pose SLAM from poses spread over a PoseGraph (Thresholds).\n\n"
       "share, most_poses: the sample, a share of the poses but no more than so many.\n"
       "angle, view_axis: as in CompactOptions. innovation_quantile: leave out loops that the innovation test would "
       "refuse "

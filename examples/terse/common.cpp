@@ -69,7 +69,7 @@ void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile)
 CLI::Option* AddSampleOption(CLI::App& subcommand, std::optional<double>& share) {
   return subcommand
       .add_option("--sample", share,
-                  "Share of the poses that the thresholds are chosen from, instead of 0.6 but 5000 poses at most")
+                  "Share of the poses that the thresholds are chosen from, instead of 0.6 but 200 poses at most")
       ->check(NumberIn(1e-9, 1))
       ->type_name("SHARE");
 }

@@ -716,7 +716,7 @@ def replay(
     after_step: Optional[Callable[[int, int, StepReport], Optional[bool]]] = None,
 ) -> None: ...
 def select_thresholds(
-    graph: PoseGraph, *, probability: float = 0.1, share: float = 0.6, most_poses: int = 5000, angle: Angle =
+    graph: PoseGraph, *, probability: float = 0.1, share: float = 0.6, most_poses: int = 200, angle: Angle =
     "view", view_axis: Optional[ArrayLike] = None, innovation_quantile: Optional[float] = None, progress:
     Optional[Callable[[int, int], object]] = None,
 ) -> Thresholds: ...

@@ -14,13 +14,15 @@ struct Thresholds {
   double min_loop_gain = 0, min_pose_gain = 0;  // g_loop, g_pose, nats
   typename Pose::Jacobian link_covariance;      // expected of a registration: the mean of the graph's links
   double loop_gain_90 = 0, pose_gain_90 = 0;    // l90, p90, nats: what the gains were chosen by
-  long sample_poses = 0;
+  long sample_poses = 0;                        // looked at
+  long sample_loops = 0;                        // of theirs looked at, at most 12 of a pose
+  long sample_links = 0;                        // that the sample's map was made of, at most 4 of a pose
 };
 
 struct SampleOptions {
   double probability = 0.1;  // s
-  double share = 0.6;        // of the run's poses
-  long most_poses = 5000;    // but no more than so many: the sample keeps all poses and links, which takes time
+  double share = 0.6;        // of the run's poses are looked at, spread over the whole run
+  long most_poses = 200;     // but no more than so many
   DistanceOptions distance;
   // Loops whose innovation exceeds this quantile (CompactOptions::innovation_quantile) are left out of the sample: for
   // graphs with wrong loops, whose covariances are right. Absent: all loops are taken for true.
@@ -28,19 +30,23 @@ struct SampleOptions {
   std::function<void(long done, long total)> progress;
 };
 
-// Replays the sample with all poses and links.
-// range: the least with which every loop of the sample passes the distance test at s, but at least the replay's
-// LinkRange: a map with few links knows its displacements less well than the sample's, so its own loops would fail the
-// sample's range and, once they do, all later ones. Without any loop in the sample it is LinkRange. The same in all
-// directions of translation, the largest: w10000's links are seen about equally far to all sides, but its sample passes
-// with 8.8 m ahead and 2.2 m aside, which costs a compact run loops that it would need (ATE 9.1 m against 1.1 m).
+// Replays the run up to the last pose that is looked at. All poses join the sample's map, but few of a pose's links,
+// each with the information of those that it stands for, so that time and memory do not grow with the number of links.
+// range: the replay's LinkRange, that is, the sensor's own, by what all links of the run measure. The map's uncertainty
+// has no part in it: a displacement may be far beyond the range and still be plausibly within.
 // min_loop_gain: exp(1.36 ln(l90 + 1)) - 1, l90 being the 90th percentile of the links' gains as Algorithm 1 would add
-// them, best first and the rest evaluated again after each; between 1/2 and 1.5 nats per degree of freedom.
+// them, best first and the rest evaluated again after each; between 1/2 and 1.5 nats per degree of freedom, where there
+// is a loop at every second pose or more. Where loops are rare each costs the map next to nothing and may be all that
+// there is about a part of it: the bounds fall to 0.1 nat with the loops per pose.
 // min_pose_gain: exp(1.7 ln(p90 + 1)) - 1, p90 being the percentile of the least gain per pose among its link to the
 // pose before and the loops it has; at least 0.9 nat per degree of freedom, about what a registration tells of a
 // displacement known half as well (in standard deviations) as it measures, and 0.9 of min_loop_gain. The bounds are
 // ours: where links are many or odometry is good, as on kitti00_all_loops, the percentiles are those of gains that say
 // next to nothing. Throws std::invalid_argument if the graph is empty or not connected.
+// The poses that a sample looks at: one drawn from each of `count` (at most `poses`) equal parts of the run, the same
+// ones every time. Ascending, from 0.
+std::vector<long> SamplePositions(long poses, long count);
+
 template <class Pose>
 Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options = {});
 
