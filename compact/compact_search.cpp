@@ -26,7 +26,7 @@ UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int pose, int base)
                                             : marginals_->Column(poses[At(base)].id, {poses[At(pose)].id}).front();
   UncertainPose<Pose> out;
   out.T_a_b = solver_->EstimateAt(pose).Inverse() * solver_->EstimateAt(base);
-  out.covariance = RelativeCovariance<Pose>(out.T_a_b, marginal[At(pose)], cross, marginal[At(base)]);
+  out.covariance = terse::RelativeCovariance<Pose>(out.T_a_b, marginal[At(pose)], cross, marginal[At(base)]);
   return out;
 }
 
