@@ -53,7 +53,7 @@ std::string Times(const InformationEstimate& estimate) {
 
 std::string What(const StatedInformation& stated) {
   if (stated.IsPlaceholder() && stated.odometry.is_identity) return "the information is the unit matrix";
-  if (stated.IsPlaceholder()) return "the information states implausible standard deviations";
+  if (stated.IsPlaceholder()) return "the information is a constant with implausible standard deviations";
   if (stated.same) return "the information is one constant for all edges";
   return "the information is too certain";
 }
@@ -97,9 +97,13 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
     out.verdict = InformationVerdict::kContradicted;
     out.scale = {{found.odometry.translation.sigma_factor, found.odometry.rotation.sigma_factor},
                  {found.loops.translation.sigma_factor, found.loops.rotation.sigma_factor}};
-    out.message = What(out.stated) + " and contradicts the residuals; standard deviations scaled from " +
-                  Stated(out.stated.odometry) + " to " + Found(out.stated.odometry, found.odometry) + " (odometry), " +
-                  Stated(out.stated.loops) + " to " + Found(out.stated.loops, found.loops) + " (loops)";
+    const auto part = [](const char* name, const StatedKind& stated, const KindEstimate& kind) {
+      return stated.edges == 0 ? std::string()
+                               : name + Found(stated, kind) + " instead of the stated " + Stated(stated);
+    };
+    out.message = What(out.stated) + " and the residuals contradict it: standard deviations are " +
+                  part("", out.stated.odometry, found.odometry) + " (odometry)" +
+                  part(", ", out.stated.loops, found.loops) + (out.stated.loops.edges > 0 ? " (loops)" : "");
   }
   return out;
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <stdexcept>
 
@@ -22,8 +23,10 @@ using internal::ProbeTerm;
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
-constexpr double kCut = 4;         // expected squares, beyond which a residual counts no more
-constexpr double kStandsOut = 25;  // times the other loops' squares: loses weight
+constexpr double kCut = 4;            // expected squares, beyond which a residual counts no more
+constexpr double kStandsOut = 9;      // times the other loops' squares: loses weight
+constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of the robust kernel
+constexpr int kStepsTogether = 2;
 constexpr double kLeastRedundancy = 5;
 constexpr double kMostLogError = 0.35;
 // No sensor is better: of a step, and radians. Residuals below are rounding, or measurements that are copies of one
@@ -51,6 +54,15 @@ struct Group {
     expected.push_back(mean);
     weights.push_back(weight);
     drawn.push_back(std::move(draws));
+  }
+  void Append(Group&& other) {
+    const auto append = [](auto& to, auto& from) {
+      to.insert(to.end(), std::make_move_iterator(from.begin()), std::make_move_iterator(from.end()));
+    };
+    append(squares, other.squares);
+    append(expected, other.expected);
+    append(weights, other.weights);
+    append(drawn, other.drawn);
   }
   double Redundancy() const {
     double sum = 0;
@@ -172,10 +184,13 @@ class Estimator {
     }
     start_ = StartOf(sample_.graph);
     Iterate(true);
-    // What agrees better than any sensor is copied, and says nothing on how good the rest is: then all count.
-    bool is_copied = false;
-    for (const Found& f : found_) is_copied = is_copied || f.estimate.at_floor;
-    if (out_.failure.empty() && is_copied) Iterate(false);
+    // What agrees better than any sensor is a copy of something else, and says nothing on how good the rest is: all
+    // count then, and odometry cannot be told from loops.
+    for (const Found& f : found_) out_.has_copies = out_.has_copies || f.estimate.at_floor;
+    if (out_.failure.empty() && out_.has_copies) {
+      out_.loops_left_out = 0;
+      Iterate(false);
+    }
     return Report();
   }
 
@@ -190,13 +205,16 @@ class Estimator {
   void Iterate(bool is_robust) {
     log_scale_.fill(0);
     for (auto& term : sample_.terms) term.weight = 1;
+    is_suspicious_ = false;
+    steps_suspicious_ = 0;
     std::vector<Pose> values = start_;
     for (int k = 0; k < options_.max_iterations; ++k) {
       out_.iterations = k + 1;
       if (!Step(is_robust, k == 0, values)) return;
       double largest = 0;
       for (const Found& f : found_) largest = std::max(largest, std::abs(f.step));
-      if (largest < options_.tolerance) break;
+      const bool is_settled = !is_suspicious_ || steps_suspicious_ > kStepsTogether;
+      if (largest < options_.tolerance && is_settled) break;
     }
   }
 
@@ -211,25 +229,40 @@ class Estimator {
       RelativePoseFactor<Pose>& factor = terms[k].factor;
       factor.information = internal::Scaled<Pose>(factor.information, scale);
       RelativePoseFactor<Pose> with_weight = factor;
-      with_weight.information *= terms[k].weight;
+      if (!is_suspicious_) with_weight.information *= terms[k].weight;
       weighted.AddFactor(with_weight);
     }
     BatchOptions solve;
     solve.max_iterations = is_first ? 50 : 10;
     solve.relative_tolerance = 1e-4;
+    if (is_suspicious_) {  // the kernel decides anew
+      solve.robust.kernel = RobustKernel::kGnc;
+      solve.robust.width = std::sqrt(ChiSquareQuantile(kTrueLoop, Pose::kDof));
+    }
     const BatchResult<Pose> result = SolveBatch(weighted, values, solve);
     if (result.factor.Variables() == 0) {
       out_.failure = result.message;
       return false;
     }
     values = result.T_world_body;
+    if (is_suspicious_) TakeWeights(result.weights, terms);
     const auto draws = internal::DrawResiduals(terms, values, result.factor, options_.draws, options_.seed);
     ByGroup<Group> groups = Collect(terms, values, draws);
     if (is_first) NormalizedChi2(terms, values);
-    for (int g = 0; g < kGroups; ++g) Update(groups[At(g)], is_robust, g);
+    // While it is open which loops are wrong, odometry would take them on itself.
+    const bool apart = is_robust && (!is_suspicious_ || ++steps_suspicious_ > kStepsTogether);
+    if (apart) {
+      for (int g = 0; g < kGroups; ++g) Update(groups[At(g)], true, g);
+    } else {  // one scale for odometry and loops
+      for (const int g : {0, 1}) {
+        groups[At(g)].Append(std::move(groups[At(g + 2)]));
+        Update(groups[At(g)], is_robust, g);
+        found_[At(g + 2)] = found_[At(g)];
+      }
+    }
     TieUndetermined();
     for (int g = 0; g < kGroups; ++g) Apply(g);
-    if (is_robust) Reweight(groups);
+    if (is_robust && !is_suspicious_) Reweight(groups);
     return true;
   }
 
@@ -296,7 +329,10 @@ class Estimator {
   void Reweight(const ByGroup<Group>& groups) {
     const Group &translation = groups[2], &rotation = groups[3];
     const auto bulk = [&](const Group& group, int g) {
-      return std::max(Median(group.squares), std::exp(2 * found_[At(g)].step));
+      std::vector<double> drawn;
+      for (const auto& draws : group.drawn) drawn.insert(drawn.end(), draws.begin(), draws.end());
+      const double typical = Median(group.squares) / Median(std::move(drawn));
+      return found_[At(g)].estimate.at_floor ? std::max(typical, std::exp(2 * found_[At(g)].step)) : typical;
     };
     const double t = bulk(translation, 2), r = bulk(rotation, 3);
     size_t loop = 0;
@@ -307,6 +343,15 @@ class Estimator {
       sample_.terms[k].weight = out_by > 1 ? 1 / (out_by * out_by) : 1;
       out_.loops_left_out += sample_.terms[k].weight < 0.5;
       ++loop;
+    }
+    is_suspicious_ = out_.loops_left_out > 0;
+  }
+
+  void TakeWeights(const std::vector<double>& weights, std::vector<ProbeTerm<Pose>>& terms) {
+    out_.loops_left_out = 0;
+    for (size_t k = 0; k < terms.size(); ++k) {
+      terms[k].weight = sample_.terms[k].weight = weights[k];
+      out_.loops_left_out += weights[k] < 0.5;
     }
   }
 
@@ -322,6 +367,8 @@ class Estimator {
   std::vector<Pose> start_;
   ByGroup<double> floor_{}, log_scale_{};
   ByGroup<Found> found_{};
+  int steps_suspicious_ = 0;
+  bool is_suspicious_ = false;  // some loops stand out: truncated least squares decides which ones count
   InformationEstimate out_;
 };
 

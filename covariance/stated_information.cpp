@@ -75,6 +75,7 @@ bool StatedInformation::IsPlaceholder() const {
   const StatedKind& chain = odometry.edges > 0 ? odometry : loops;
   if (chain.edges == 0) return false;
   if (chain.is_identity && (loops.edges == 0 || loops.is_identity)) return true;
+  if (!chain.is_constant || (loops.edges > 0 && !loops.is_constant)) return false;
   return chain.translation_m.median > kPlausibleStep * median_step_m || chain.rotation_rad.median > kPlausibleTurn;
 }
 

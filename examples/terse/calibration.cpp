@@ -54,6 +54,35 @@ nlohmann::ordered_json ToJson(const InformationCalibration& calibration) {
   return json;
 }
 
+std::string SigmasInWords(const StatedKind& stated) {
+  if (stated.edges == 0) return "none";
+  constexpr double kDegrees = 180 / 3.14159265358979323846;
+  const SigmaSpread &t = stated.translation_m, &r = stated.rotation_rad;
+  char text[160];
+  std::snprintf(text, sizeof(text), "%.3g m (%.3g to %.3g), %.3g deg (%.3g to %.3g)", t.median, t.low, t.high,
+                r.median * kDegrees, r.low * kDegrees, r.high * kDegrees);
+  return text;
+}
+
+std::string InformationInWords(const InformationCalibration& calibration) {
+  const StatedInformation& stated = calibration.stated;
+  if (stated.odometry.edges + stated.loops.edges == 0) return "there are no edges";
+  const bool is_identity = (stated.odometry.edges == 0 || stated.odometry.is_identity) &&
+                           (stated.loops.edges == 0 || stated.loops.is_identity);
+  std::string text = "differs from edge to edge";
+  if (is_identity) {
+    text = "the unit matrix on all edges, which nobody estimated";
+  } else if (stated.same) {
+    text = "the same on all edges, odometry and loops, which looks invented";
+  } else if (stated.odometry.is_constant && stated.loops.is_constant) {
+    text = "one constant for odometry and one for loops";
+  } else if (stated.odometry.is_constant || stated.loops.is_constant) {
+    text = stated.odometry.is_constant ? "the same on all odometry edges" : "the same on all loops";
+  }
+  if (!is_identity && stated.IsPlaceholder()) text += ", with implausible standard deviations";
+  return text + "; " + calibration.message;
+}
+
 std::string InformationComment(const InformationScale& scale) {
   if (scale.IsOne()) return "";
   const auto kind = [](const KindScale& s) {

@@ -171,7 +171,7 @@ Calibrated<Pose> Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& bef
     const InformationCalibration found = CalibrateInformation(graph);
     out.scale = found.scale;
     out.report = ToJson(found);
-    message = found.message;
+    message = found.message + "; scaled to these (--calibrate-information off leaves it)";
   } else {
     out.report = {{"verdict", "off"}, {"sigma_scale", ToJson(out.scale)}};
   }

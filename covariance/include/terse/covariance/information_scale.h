@@ -42,7 +42,8 @@ struct StatedInformation {
   StatedKind odometry, loops;
   bool same = false;         // both kinds are constant, and the same
   double median_step_m = 0;  // length of the odometry edges (of the loops, if there is none)
-  // Nobody measured this: all identity, or standard deviations of odometry above half a step or half a radian.
+  // Nobody measured this: all identity, or constants with which an odometry edge is uncertain by more than half a step
+  // or half a radian.
   bool IsPlaceholder() const;
 };
 
@@ -88,7 +89,10 @@ struct EstimateOptions {
 struct InformationEstimate {
   KindEstimate odometry, loops;
   long poses = 0, edges = 0, loop_edges = 0;  // of the sample
-  long loops_left_out = 0;                    // contradicted by the others
+  // Some measurements agree better than any sensor could: they are computed from one another, not measured. Odometry
+  // and loops then share one factor for translation and one for rotation, to which all squares count in full.
+  bool has_copies = false;
+  long loops_left_out = 0;  // contradicted by the others
   int iterations = 0;
   double normalized_chi2 = 0;  // of the sample at the optimum under the stated information, over its redundancy
   std::string failure;         // why there is no estimate, else empty
