@@ -24,7 +24,7 @@ template <class Pose>
 CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay,
                             const AfterStep<Pose>& after_step) {
   using Clock = std::chrono::steady_clock;
-  CompactRun<Pose> run{std::move(slam), {}, {}, replay.LinksOffered(), 0, 0, {}};
+  CompactRun<Pose> run{std::move(slam), {}, {}, replay.LinksOffered(), 0, 0, {}, {}};
   for (const auto& input : replay.Inputs()) {
     const Clock::time_point before = Clock::now();
     run.decisions.push_back(run.slam.AddPose(input));
@@ -54,8 +54,12 @@ template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy) {
   CompactOptions<Pose> options;
   options.strategy = strategy;
-  SampleThresholds(graph, options);
-  return CompactGraph(graph, options);
+  const InformationScale scale = CalibrateInformation(graph).scale;
+  const PoseGraph<Pose> scaled = scale.IsOne() ? graph : ScaleInformation(graph, scale);
+  SampleThresholds(scaled, options);
+  CompactRun<Pose> run = CompactGraph(scaled, options);
+  run.information_scale = scale;
+  return run;
 }
 
 template <class Pose>

@@ -1,4 +1,5 @@
 #include <cmath>
+#include <stdexcept>
 
 #include "terse/core/atomic_file.h"
 #include "terse/core/graph_file.h"
@@ -107,9 +108,14 @@ Line& AddToroInformation(Line& line, const Matrix<6, 6>& information) { return l
 }  // namespace
 
 template <class Pose>
-void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path, RotationInformation rotation_information) {
+void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path, RotationInformation rotation_information,
+              const std::string& comment) {
+  if (comment.find_first_of("\r\n") != std::string::npos) {
+    throw std::invalid_argument("a comment in a g2o file is one line");
+  }
   AtomicFile file(path);
   std::ostream& out = file.Stream();
+  if (!comment.empty()) out << "# " << comment << '\n';
   // g2o wants every 3D prior to name a sensor offset; ours is the identity.
   if (!kIsPlanar<Pose> && HasPosePrior(graph)) out << "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n";
   for (const auto& node : graph.Poses()) {
@@ -150,8 +156,8 @@ void WriteToro(const PoseGraph<Pose>& graph, const std::string& path) {
   file.Commit();
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                  \
-  template void WriteG2o<Pose>(const PoseGraph<Pose>&, const std::string&, RotationInformation); \
+#define TERSE_INSTANTIATE(Pose)                                                                                      \
+  template void WriteG2o<Pose>(const PoseGraph<Pose>&, const std::string&, RotationInformation, const std::string&); \
   template void WriteToro<Pose>(const PoseGraph<Pose>&, const std::string&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -1,6 +1,7 @@
 #include <cmath>
 #include <iostream>
 
+#include "calibration.h"
 #include "commands.h"
 #include "compact_map_file.h"
 #include "compact_output.h"
@@ -34,6 +35,7 @@ struct CompactCommandOptions {
   RobustOptions robust;
   std::uint64_t seed = 1;
   Recovery recovery = Recovery::kV2;
+  bool calibrate = true;
   bool quiet = false;
   LogSink log;
 };
@@ -114,6 +116,7 @@ template <class Pose>
 struct Before {
   CompactMap<Pose> map;
   RunRows rows;
+  InformationScale information_scale;
 };
 
 template <class Pose>
@@ -124,7 +127,7 @@ Before<Pose> TakeBefore(const std::optional<GraphJson>& file, const CompactComma
     throw std::invalid_argument(std::to_string(Pose::kDim) + "D, but the map to continue, " + options.continued +
                                 "/graph.json, is not");
   }
-  return {*map, ReadRunRows(options.continued, map->poses.size())};
+  return {*map, ReadRunRows(options.continued, map->poses.size()), file->information_scale};
 }
 
 template <class Pose>
@@ -146,9 +149,42 @@ std::optional<TruePoses> ReadTruthOfAll(const CompactMap<Pose>& before, const Gr
   return ReadTruePoses<Pose>(ids, path);
 }
 
+// The graph that the run sees, and how its information came about.
 template <class Pose>
-void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const CompactCommandOptions& options,
+struct Calibrated {
+  PoseGraph<Pose> graph;
+  InformationScale scale;
+  nlohmann::ordered_json report;  // of stats.json
+};
+
+// A map goes on with the scales that it began with.
+template <class Pose>
+Calibrated<Pose> Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& before,
+                           const CompactCommandOptions& options) {
+  Calibrated<Pose> out;
+  std::string message;
+  if (!before.map.poses.empty()) {
+    out.scale = before.information_scale;
+    out.report = {{"verdict", "continued"}, {"sigma_scale", ToJson(out.scale)}};
+    message = "standard deviations scaled as in " + options.continued;
+  } else if (options.calibrate) {
+    const InformationCalibration found = CalibrateInformation(graph);
+    out.scale = found.scale;
+    out.report = ToJson(found);
+    message = found.message + "; scaled to these (--calibrate-information off leaves it)";
+  } else {
+    out.report = {{"verdict", "off"}, {"sigma_scale", ToJson(out.scale)}};
+  }
+  if (!out.scale.IsOne()) out.graph = ScaleInformation(graph, out.scale);
+  if (!out.scale.IsOne() && !options.quiet) std::cerr << "terse: note: " << options.path << ": " << message << '\n';
+  return out;
+}
+
+template <class Pose>
+void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, const CompactCommandOptions& options,
            double seconds_read, double start) {
+  const Calibrated<Pose> calibrated = Calibrate(file_graph, before, options);
+  const PoseGraph<Pose>& graph = calibrated.scale.IsOne() ? file_graph : calibrated.graph;
   std::vector<PoseId> seen;
   for (const auto& pose : before.map.poses) seen.push_back(pose.id);
   GraphReplay<Pose> replay = seen.empty() ? GraphReplay<Pose>(graph) : GraphReplay<Pose>(graph, seen);
@@ -171,6 +207,7 @@ void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const Compa
       [&](const CompactPoseSlam<Pose>& now, const Decision& decision, double s) { recorder.Add(now, decision, s); });
   const RunTrajectories trajectories = MakeRunTrajectories(run.slam, options.recovery, known);
   Stats stats = MakeStats(graph, run, EvaluateRun(trajectories, Pose::kDim));
+  stats.more["information"] = calibrated.report;
   if (!sample.is_null()) stats.more["sample"] = sample;
   if (!seen.empty()) {
     stats.more["continued"] = {{"poses", seen.size()}, {"links_kept", links_before}};
@@ -184,7 +221,8 @@ void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const Compa
                                  trajectories,
                                  options.recovery,
                                  options.read.rotation_information,
-                                 before.rows};
+                                 before.rows,
+                                 calibrated.scale};
   stats.seconds_covariance = WriteRun(results, options.directory);
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
@@ -285,6 +323,10 @@ void AddCompactCommand(CLI::App& app) {
             {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
             "How dropped poses come back: as first estimated, chained to the kept pose before them, or fitted between "
             "the kept poses around them");
+  AddChoice(
+      *command, "--calibrate-information", options->calibrate, {{"auto", true}, {"off", false}},
+      "Whether information that nobody estimated (the unit matrix, one constant) and that the residuals contradict "
+      "is scaled to agree with them; --continue keeps the scales of its map");
   AddReadOptions(*command, options->read);
   command->add_option("--output", options->directory, "Folder for the results, made if it is missing")
       ->required()

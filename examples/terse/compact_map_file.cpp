@@ -6,6 +6,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
+#include "calibration.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 
@@ -297,6 +298,21 @@ CompactMap<Pose> ReadMap(const Place& root) {
   return map;
 }
 
+double ReadFactor(const Place& place, const char* key) {
+  const Place at = place.At(key, "a factor above zero");
+  const double factor = at.Number();
+  if (!(factor > 0)) at.FailExpecting("a factor above zero");
+  return factor;
+}
+
+KindScale ReadKindScale(const Place& place) {
+  return {ReadFactor(place, "translation"), ReadFactor(place, "rotation")};
+}
+
+InformationScale ReadScale(const Place& place) {
+  return {ReadKindScale(place.At("odometry", "scales")), ReadKindScale(place.At("loops", "scales"))};
+}
+
 std::string ReadText(const std::string& path) {
   std::error_code error;
   if (!std::filesystem::exists(path, error)) throw FileError(path, 0, "the file does not exist");
@@ -334,6 +350,7 @@ GraphJson ReadGraphJson(const std::string& path) {
     for (const Strategy strategy : strategies) names.emplace_back(Name(strategy));
     file.strategy = strategies[root.At("strategy", "a strategy").Choice(names)];
   }
+  if (root.Has("sigma_scale")) file.information_scale = ReadScale(root.At("sigma_scale", "scales"));
   if (d == 2) {
     file.map = ReadMap<SE2>(root);
   } else {
@@ -343,11 +360,13 @@ GraphJson ReadGraphJson(const std::string& path) {
 }
 
 template <class Pose>
-void WriteGraphJson(const CompactMap<Pose>& map, Strategy strategy, const std::string& path) {
+void WriteGraphJson(const CompactMap<Pose>& map, Strategy strategy, const std::string& path,
+                    const InformationScale& information_scale) {
   AtomicFile file(path);
   std::ostream& out = file.Stream();
   out << "{\"format\":\"" << kFormat << "\",\"dimension\":" << Pose::kDim << ",\"strategy\":\"" << Name(strategy)
       << '"';
+  if (!information_scale.IsOne()) out << ",\"sigma_scale\":" << ToJson(information_scale).dump();
   WriteList("poses", map.poses, PoseText<Pose>, out);
   WriteList("edges", map.edges, EdgeText<Pose>, out);
   WriteList("priors", map.priors, PriorText<Pose>, out);
@@ -369,7 +388,7 @@ void WriteGraphJson(const CompactMap<Pose>& map, Strategy strategy, const std::s
   file.Commit();
 }
 
-template void WriteGraphJson<SE2>(const CompactMap<SE2>&, Strategy, const std::string&);
-template void WriteGraphJson<SE3>(const CompactMap<SE3>&, Strategy, const std::string&);
+template void WriteGraphJson<SE2>(const CompactMap<SE2>&, Strategy, const std::string&, const InformationScale&);
+template void WriteGraphJson<SE3>(const CompactMap<SE3>&, Strategy, const std::string&, const InformationScale&);
 
 }  // namespace terse

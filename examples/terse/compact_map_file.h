@@ -7,6 +7,7 @@
 
 #include "terse/compact/compact_map.h"
 #include "terse/compact/compact_options.h"
+#include "terse/covariance/information_scale.h"
 
 namespace terse {
 
@@ -14,7 +15,8 @@ using AnyCompactMap = std::variant<CompactMap<SE2>, CompactMap<SE3>>;
 
 struct GraphJson {
   AnyCompactMap map;
-  std::optional<Strategy> strategy;  // that made it, if the file says so
+  std::optional<Strategy> strategy;    // that made it, if the file says so
+  InformationScale information_scale;  // by which its measurements' standard deviations differ from those of the input
 };
 
 // Throws FileError, also for a map that contradicts itself: it says where in the file ("poses[3].base"), what is there
@@ -22,6 +24,7 @@ struct GraphJson {
 GraphJson ReadGraphJson(const std::string& path);
 // Written whole or not at all. Throws FileError; NumericalError if an estimate is not finite.
 template <class Pose>
-void WriteGraphJson(const CompactMap<Pose>& map, Strategy strategy, const std::string& path);
+void WriteGraphJson(const CompactMap<Pose>& map, Strategy strategy, const std::string& path,
+                    const InformationScale& information_scale = {});
 
 }  // namespace terse

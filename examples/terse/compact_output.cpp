@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <fstream>
 
+#include "calibration.h"
 #include "compact_map_file.h"
 #include "covariance_output.h"
 #include "npz_file.h"
@@ -167,8 +168,9 @@ double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
   const CompactOptions<Pose>& options = run.slam.Options();
   WriteThresholds(options, folder + "/thresholds.json");
   const PoseGraph<Pose>& kept = run.slam.Solver().Graph();
-  WriteG2o(AtOptimum(kept, run.result), folder + "/compact.g2o", run.rotation_information);
-  WriteGraphJson(run.slam.Export(run.recovery), options.strategy, folder + "/graph.json");
+  WriteG2o(AtOptimum(kept, run.result), folder + "/compact.g2o", run.rotation_information,
+           InformationComment(run.information_scale));
+  WriteGraphJson(run.slam.Export(run.recovery), options.strategy, folder + "/graph.json", run.information_scale);
   WriteTum(run.trajectories.estimate, folder + "/trajectory.tum");
   if (run.trajectories.truth) WriteTum(*run.trajectories.truth, folder + "/ground_truth.tum");
   WriteDecisions(run.decisions, folder + "/decisions.csv", run.earlier.decisions_csv);

@@ -10,6 +10,7 @@
 #include "terse/compact/compact_graph.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/rotation_information.h"
+#include "terse/covariance/information_scale.h"
 
 namespace terse {
 
@@ -49,6 +50,7 @@ struct RunResults {
   Recovery recovery = Recovery::kV2;
   RotationInformation rotation_information = RotationInformation::kQuaternion;
   RunRows earlier = {};
+  InformationScale information_scale = {};  // of the measurements that the run saw, against those of the file
 };
 // All files but stats.json. Returns the seconds that covariances took.
 template <class Pose>

@@ -1,6 +1,7 @@
 #include <filesystem>
 #include <iostream>
 
+#include "calibration.h"
 #include "commands.h"
 #include "report.h"
 
@@ -34,11 +35,19 @@ nlohmann::ordered_json Describe(const PoseGraph<Pose>& graph) {
   json["poses_without_value"] = without_value;
   json["chi2"] = nullptr;
   if (without_value == 0) json["chi2"] = Chi2(graph);
+  if (counts.edges > 0 && ConnectedComponents(graph).size() == 1) {
+    const InformationCalibration information = CalibrateInformation(graph);
+    json["odometry_sigma"] = SigmasInWords(information.stated.odometry);
+    json["loops_sigma"] = SigmasInWords(information.stated.loops);
+    json["information"] = InformationInWords(information);
+    json["information_numbers"] = ToJson(information);
+  }
   return json;
 }
 
 void PrintTable(const nlohmann::ordered_json& json) {
   for (const auto& [key, value] : json.items()) {
+    if (key == "information_numbers") continue;  // the lines above say it
     std::string text = value.is_string() ? value.get<std::string>() : value.dump();
     if (value.is_boolean()) text = value.get<bool>() ? "yes" : "no";
     if (value.is_null()) text = "unknown";

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "terse/compact/thresholds.h"
+#include "terse/covariance/information_scale.h"
 
 namespace terse {
 
@@ -19,7 +20,8 @@ struct CompactRun {
   std::vector<double> step_seconds;  // of AddPose
   int links_offered = 0;             // edges beside the odometry
   int registrations_tried = 0, links_refused = 0;
-  BatchResult<Pose> result;  // of the kept graph
+  BatchResult<Pose> result;                 // of the kept graph
+  InformationScale information_scale = {};  // of what the run saw, against the graph: CompactGraph with a strategy
 
   int PosesKept() const { return static_cast<int>(slam.Solver().Graph().Poses().size()); }
   int LinksKept() const { return slam.LinksKept(); }
@@ -42,7 +44,9 @@ CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>&
 // Strategy::kRfpfl, whose replay draws first (GraphReplay::DrawAtRandom).
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options);
-// With thresholds from a sample of the graph (SampleThresholds), all else as CompactOptions has it.
+// With thresholds from a sample of the graph (SampleThresholds), all else as CompactOptions has it, and as the command
+// does: information that nobody estimated and that the residuals contradict is scaled first (CalibrateInformation), of
+// which CompactRun::information_scale tells. With the options above nothing is scaled.
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kFpfl);
 

@@ -58,10 +58,13 @@ GraphFile ReadGraph(const std::string& path, const ReadOptions& options = {});
 template <class Pose>
 PoseGraph<Pose> ReadPoseGraph(const std::string& path, const ReadOptions& options = {});
 
-// Written to a temporary file in the same folder, then renamed. Throws FileError.
+// Written to a temporary file in the same folder, then renamed. Throws FileError. `comment`, if any, stands at the top
+// as a line that begins with '#', which g2o skips as we do (not every reader does). Throws std::invalid_argument if it
+// is more than one line.
 template <class Pose>
 void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path,
-              RotationInformation rotation_information = RotationInformation::kQuaternion);
+              RotationInformation rotation_information = RotationInformation::kQuaternion,
+              const std::string& comment = "");
 // TORO has no priors and no FIX: FileError if the graph holds any. Its roll, pitch, yaw give a rotation in space back
 // to 1e-12, everything else to the last bit.
 template <class Pose>

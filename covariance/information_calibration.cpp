@@ -1,0 +1,114 @@
+#include <array>
+#include <cmath>
+#include <cstdio>
+
+#include "terse/covariance/information_scale.h"
+
+namespace terse {
+namespace {
+
+// Between stated and found standard deviations.
+constexpr double kPlaceholderBand = 3, kConstantBand = 20, kMeasuredBand = 10;
+constexpr double kDegrees = 180 / 3.14159265358979323846;
+
+struct Band {
+  double smaller = 0, larger = 0;  // found over stated: contradicted below and above
+};
+
+Band BandOf(const StatedInformation& stated) {
+  if (stated.IsPlaceholder()) return {1 / kPlaceholderBand, kPlaceholderBand};
+  if (stated.same) return {1 / kConstantBand, kConstantBand};
+  return {0, kMeasuredBand};
+}
+
+bool IsOutside(const Band& band, const ScaleEstimate& found) {
+  if (!found.determined) return false;
+  const double slack = std::exp(2 * found.log_error);
+  return found.sigma_factor * slack < band.smaller || found.sigma_factor > band.larger * slack;
+}
+
+std::array<const ScaleEstimate*, 4> All(const InformationEstimate& estimate) {
+  return {&estimate.odometry.translation, &estimate.odometry.rotation, &estimate.loops.translation,
+          &estimate.loops.rotation};
+}
+
+std::string Sigmas(double translation_m, double rotation_rad) {
+  char text[64];
+  std::snprintf(text, sizeof(text), "%.2g m and %.2g deg", translation_m, rotation_rad * kDegrees);
+  return text;
+}
+std::string Stated(const StatedKind& kind) { return Sigmas(kind.translation_m.median, kind.rotation_rad.median); }
+std::string Found(const StatedKind& kind, const KindEstimate& found) {
+  return Sigmas(kind.translation_m.median * found.translation.sigma_factor,
+                kind.rotation_rad.median * found.rotation.sigma_factor);
+}
+
+std::string Times(const InformationEstimate& estimate) {
+  char text[160];
+  std::snprintf(text, sizeof(text), "odometry %.2g and %.2g, loops %.2g and %.2g times",
+                estimate.odometry.translation.sigma_factor, estimate.odometry.rotation.sigma_factor,
+                estimate.loops.translation.sigma_factor, estimate.loops.rotation.sigma_factor);
+  return text;
+}
+
+std::string What(const StatedInformation& stated) {
+  if (stated.IsPlaceholder() && stated.odometry.is_identity) return "the information is the unit matrix";
+  if (stated.IsPlaceholder()) return "the information is a constant with implausible standard deviations";
+  if (stated.same) return "the information is one constant for all edges";
+  return "the information is too certain";
+}
+
+}  // namespace
+
+const char* Name(InformationVerdict verdict) {
+  switch (verdict) {
+    case InformationVerdict::kConsistent: return "consistent";
+    case InformationVerdict::kContradicted: return "contradicted";
+    case InformationVerdict::kUndetermined: return "undetermined";
+  }
+  return "?";
+}
+
+template <class Pose>
+InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
+  InformationCalibration out;
+  out.stated = DescribeInformation(graph);
+  out.estimate = EstimateInformationScale(graph, options);
+  const InformationEstimate& found = out.estimate;
+  if (!found.failure.empty()) {
+    out.message = "the residuals cannot tell whether the information is right (" + found.failure + ")";
+    return out;
+  }
+  bool any_determined = false, all_at_floor = true, is_outside = false;
+  const Band band = BandOf(out.stated);
+  for (const ScaleEstimate* group : All(found)) {
+    any_determined = any_determined || group->determined;
+    all_at_floor = all_at_floor && (group->at_floor || !group->determined);
+    is_outside = is_outside || IsOutside(band, *group);
+  }
+  if (!any_determined) {
+    out.message = "the residuals cannot tell whether the information is right (too few loops)";
+  } else if (all_at_floor) {
+    out.message = "the measurements agree to rounding: their residuals cannot tell whether the information is right";
+  } else if (!is_outside) {
+    out.verdict = InformationVerdict::kConsistent;
+    out.message = "the information is left as it is: residuals are " + Times(found) + " as large as it says";
+  } else {
+    out.verdict = InformationVerdict::kContradicted;
+    out.scale = {{found.odometry.translation.sigma_factor, found.odometry.rotation.sigma_factor},
+                 {found.loops.translation.sigma_factor, found.loops.rotation.sigma_factor}};
+    const auto part = [](const char* name, const StatedKind& stated, const KindEstimate& kind) {
+      return stated.edges == 0 ? std::string()
+                               : name + Found(stated, kind) + " instead of the stated " + Stated(stated);
+    };
+    out.message = What(out.stated) + " and the residuals contradict it: standard deviations are " +
+                  part("", out.stated.odometry, found.odometry) + " (odometry)" +
+                  part(", ", out.stated.loops, found.loops) + (out.stated.loops.edges > 0 ? " (loops)" : "");
+  }
+  return out;
+}
+
+template InformationCalibration CalibrateInformation<SE2>(const PoseGraph<SE2>&, const EstimateOptions&);
+template InformationCalibration CalibrateInformation<SE3>(const PoseGraph<SE3>&, const EstimateOptions&);
+
+}  // namespace terse

@@ -1,0 +1,389 @@
+#include "terse/covariance/information_scale.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <iterator>
+#include <limits>
+#include <stdexcept>
+
+#include "information_kinds.h"
+#include "information_probe.h"
+#include "terse/core/batch_solver.h"
+#include "terse/core/error.h"
+#include "terse/core/initial_values.h"
+#include "terse/core/linear_factor.h"
+#include "terse/core/residual.h"
+
+namespace terse {
+namespace {
+
+using internal::BlockSquares;
+using internal::ProbeTerm;
+using std::size_t;
+constexpr size_t At(int i) { return static_cast<size_t>(i); }
+
+constexpr double kCut = 4;            // expected squares, beyond which a residual counts no more
+constexpr double kStandsOut = 9;      // times the other loops' squares: loses weight
+constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of the robust kernel
+constexpr int kStepsTogether = 2;
+constexpr double kLeastRedundancy = 5;
+constexpr double kMostLogError = 0.35;
+// No sensor is better: of a step, and radians. Residuals below are rounding, or measurements that are copies of one
+// another.
+constexpr double kFloorOfStep = 0.003, kFloorTurn = 5e-4;
+
+// Translation and rotation of odometry, then of loops.
+constexpr int kGroups = 4;
+int GroupOf(bool is_loop, bool is_rotation) { return (is_loop ? 2 : 0) + (is_rotation ? 1 : 0); }
+template <class Value>
+using ByGroup = std::array<Value, kGroups>;
+
+// Squares of a group's residuals over those that the draws lead to expect.
+struct Group {
+  std::vector<double> squares, expected, weights;  // by edge; expected: per scalar
+  std::vector<std::vector<double>> drawn;          // by edge, by draw
+  int scalars = 1;                                 // of an edge
+
+  void Add(double square, std::vector<double> draws, double weight) {
+    double mean = 0;
+    for (const double d : draws) mean += d / static_cast<double>(draws.size());
+    mean = std::max(mean, std::numeric_limits<double>::min());
+    for (double& d : draws) d /= mean;
+    squares.push_back(square / mean);
+    expected.push_back(mean);
+    weights.push_back(weight);
+    drawn.push_back(std::move(draws));
+  }
+  void Append(Group&& other) {
+    const auto append = [](auto& to, auto& from) {
+      to.insert(to.end(), std::make_move_iterator(from.begin()), std::make_move_iterator(from.end()));
+    };
+    append(squares, other.squares);
+    append(expected, other.expected);
+    append(weights, other.weights);
+    append(drawn, other.drawn);
+  }
+  double Redundancy() const {
+    double sum = 0;
+    for (size_t k = 0; k < expected.size(); ++k) sum += scalars * weights[k] * expected[k];
+    return sum;
+  }
+  // The factor on variances with which the residuals, cut, add up to what the draws do; and the standard error of its
+  // logarithm. Without cut: the plain ratio.
+  std::pair<double, double> VarianceFactor(bool cut) const {
+    const double limit = cut ? kCut : std::numeric_limits<double>::infinity();
+    const auto sum = [&](const auto& square_of) {
+      double total = 0;
+      for (size_t k = 0; k < expected.size(); ++k) total += weights[k] * expected[k] * std::min(square_of(k), limit);
+      return total;
+    };
+    const size_t draws = drawn.empty() ? 0 : drawn.front().size();
+    double mean = 0, square = 0;
+    for (size_t d = 0; d < draws; ++d) {
+      const double one = sum([&](size_t k) { return drawn[k][d]; });
+      mean += one / static_cast<double>(draws);
+      square += one * one / static_cast<double>(draws);
+    }
+    if (!(mean > 0)) return {1, std::numeric_limits<double>::infinity()};
+    const double error = std::sqrt(std::max(0.0, square / (mean * mean) - 1));
+    double low = -80, high = 80;  // of the logarithm
+    for (int i = 0; i < 60; ++i) {
+      const double middle = (low + high) / 2, factor = std::exp(-middle);
+      (sum([&](size_t k) { return squares[k] * factor; }) > mean ? low : high) = middle;
+    }
+    return {std::exp((low + high) / 2), error};
+  }
+};
+
+double Median(std::vector<double> values) {
+  if (values.empty()) return 1;
+  const auto middle = values.begin() + static_cast<long>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return std::max(*middle, std::numeric_limits<double>::min());
+}
+
+// The beginning of a graph, its relative factors only. Factor k of the graph is term k.
+template <class Pose>
+struct Sample {
+  PoseGraph<Pose> graph;
+  std::vector<ProbeTerm<Pose>> terms;
+  std::vector<char> is_loop;
+  long loops = 0;
+};
+
+template <class Pose>
+Sample<Pose> TakeSample(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
+  Sample<Pose> sample;
+  for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
+    const auto poses = static_cast<long>(sample.graph.Poses().size());
+    if (poses >= options.sample_poses && sample.loops >= options.sample_loops) break;
+    for (const int p : step.poses) {
+      const auto& node = graph.Poses()[At(p)];
+      sample.graph.AddPose(node.id, node.T_world_body);
+    }
+    for (const int f : step.factors) {
+      const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&graph.Factors()[At(f)].factor);
+      if (edge == nullptr) continue;
+      const int from = sample.graph.IndexOf(edge->from), to = sample.graph.IndexOf(edge->to);
+      sample.graph.AddFactor(*edge);
+      sample.terms.push_back({from, to, *edge, 1});
+      sample.is_loop.push_back(std::abs(from - to) > 1);
+      sample.loops += sample.is_loop.back();
+    }
+  }
+  return sample;
+}
+
+template <class Pose>
+double CostOf(const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
+  double cost = 0;
+  for (const auto& node : graph.Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    const Factor<Pose>& factor = node.factor;
+    const Vector<Pose::kDof> r =
+        Residual(factor, values[At(graph.IndexOf(ends.first))], values[At(graph.IndexOf(ends.second))]);
+    cost += r.dot(std::get<RelativePoseFactor<Pose>>(factor).information * r);
+  }
+  return cost;
+}
+
+// The cheapest of composed and chordal values.
+template <class Pose>
+std::vector<Pose> StartOf(const PoseGraph<Pose>& graph) {
+  std::vector<Pose> composed = ComputeInitialValues(graph, InitialValues::kCompose);
+  try {
+    std::vector<Pose> chordal = ComputeInitialValues(graph, InitialValues::kChordal);
+    if (CostOf(graph, chordal) < CostOf(graph, composed)) return chordal;
+  } catch (const NumericalError&) {  // singular to rounding: the composed values will do
+  }
+  return composed;
+}
+
+template <class Pose>
+class Estimator {
+ public:
+  Estimator(const PoseGraph<Pose>& graph, const EstimateOptions& options)
+      : options_(options), stated_(DescribeInformation(graph)), sample_(TakeSample(graph, options)) {
+    out_.poses = static_cast<long>(sample_.graph.Poses().size());
+    out_.edges = static_cast<long>(sample_.terms.size());
+    out_.loop_edges = sample_.loops;
+    for (const bool is_loop : {false, true}) {
+      const StatedKind& kind = is_loop && stated_.loops.edges > 0 ? stated_.loops : stated_.odometry;
+      // In 2D and 3D alike a step of zero length (a robot that turns on the spot) leaves the floor to rotation.
+      floor_[At(GroupOf(is_loop, false))] = Ratio(kFloorOfStep * stated_.median_step_m, kind.translation_m.median);
+      floor_[At(GroupOf(is_loop, true))] = Ratio(kFloorTurn, kind.rotation_rad.median);
+    }
+  }
+
+  InformationEstimate Run() {
+    const double redundancy = static_cast<double>(Pose::kDof) * static_cast<double>(out_.edges - (out_.poses - 1));
+    if (redundancy <= 0) {
+      out_.failure = "no loops: nothing contradicts the odometry";
+      return out_;
+    }
+    start_ = StartOf(sample_.graph);
+    Iterate(true);
+    // What agrees better than any sensor is a copy of something else, and says nothing on how good the rest is: all
+    // count then, and odometry cannot be told from loops.
+    for (const Found& f : found_) out_.has_copies = out_.has_copies || f.estimate.at_floor;
+    if (out_.failure.empty() && out_.has_copies) {
+      out_.loops_left_out = 0;
+      Iterate(false);
+    }
+    return Report();
+  }
+
+ private:
+  struct Found {
+    ScaleEstimate estimate;
+    double step = 0;  // of the logarithm of the scale, the last
+  };
+
+  static double Ratio(double floor, double stated) { return stated > 0 ? floor / stated : 0; }
+
+  void Iterate(bool is_robust) {
+    log_scale_.fill(0);
+    for (auto& term : sample_.terms) term.weight = 1;
+    is_suspicious_ = false;
+    steps_suspicious_ = 0;
+    std::vector<Pose> values = start_;
+    for (int k = 0; k < options_.max_iterations; ++k) {
+      out_.iterations = k + 1;
+      if (!Step(is_robust, k == 0, values)) return;
+      double largest = 0;
+      for (const Found& f : found_) largest = std::max(largest, std::abs(f.step));
+      const bool is_settled = !is_suspicious_ || steps_suspicious_ > kStepsTogether;
+      if (largest < options_.tolerance && is_settled) break;
+    }
+  }
+
+  // One solution at the present scales and the next scales from its residuals.
+  bool Step(bool is_robust, bool is_first, std::vector<Pose>& values) {
+    std::vector<ProbeTerm<Pose>> terms = sample_.terms;
+    PoseGraph<Pose> weighted;
+    for (const auto& node : sample_.graph.Poses()) weighted.AddPose(node.id);
+    for (size_t k = 0; k < terms.size(); ++k) {
+      const KindScale scale{std::exp(log_scale_[At(GroupOf(sample_.is_loop[k], false))]),
+                            std::exp(log_scale_[At(GroupOf(sample_.is_loop[k], true))])};
+      RelativePoseFactor<Pose>& factor = terms[k].factor;
+      factor.information = internal::Scaled<Pose>(factor.information, scale);
+      RelativePoseFactor<Pose> with_weight = factor;
+      if (!is_suspicious_) with_weight.information *= terms[k].weight;
+      weighted.AddFactor(with_weight);
+    }
+    BatchOptions solve;
+    solve.max_iterations = is_first ? 50 : 10;
+    solve.relative_tolerance = 1e-4;
+    if (is_suspicious_) {  // the kernel decides anew
+      solve.robust.kernel = RobustKernel::kGnc;
+      solve.robust.width = std::sqrt(ChiSquareQuantile(kTrueLoop, Pose::kDof));
+    }
+    const BatchResult<Pose> result = SolveBatch(weighted, values, solve);
+    if (result.factor.Variables() == 0) {
+      out_.failure = result.message;
+      return false;
+    }
+    values = result.T_world_body;
+    if (is_suspicious_) TakeWeights(result.weights, terms);
+    const auto draws = internal::DrawResiduals(terms, values, result.factor, options_.draws, options_.seed);
+    ByGroup<Group> groups = Collect(terms, values, draws);
+    if (is_first) NormalizedChi2(terms, values);
+    // While it is open which loops are wrong, odometry would take them on itself.
+    const bool apart = is_robust && (!is_suspicious_ || ++steps_suspicious_ > kStepsTogether);
+    if (apart) {
+      for (int g = 0; g < kGroups; ++g) Update(groups[At(g)], true, g);
+    } else {  // one scale for odometry and loops
+      for (const int g : {0, 1}) {
+        groups[At(g)].Append(std::move(groups[At(g + 2)]));
+        Update(groups[At(g)], is_robust, g);
+        found_[At(g + 2)] = found_[At(g)];
+      }
+    }
+    TieUndetermined();
+    for (int g = 0; g < kGroups; ++g) Apply(g);
+    if (is_robust && !is_suspicious_) Reweight(groups);
+    return true;
+  }
+
+  ByGroup<Group> Collect(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<Pose>& values,
+                         const std::vector<std::vector<BlockSquares>>& draws) const {
+    ByGroup<Group> groups;
+    for (int g = 0; g < kGroups; ++g) groups[At(g)].scalars = g % 2 == 0 ? Pose::kDim : Pose::kDof - Pose::kDim;
+    for (size_t k = 0; k < terms.size(); ++k) {
+      const ProbeTerm<Pose>& t = terms[k];
+      const auto residual = Residual(Factor<Pose>(t.factor), values[At(t.first)], values[At(t.second)]);
+      const BlockSquares squares = internal::SquaresOf<Pose>(residual, t.factor.information);
+      std::vector<double> translation, rotation;
+      for (const BlockSquares& d : draws[k]) {
+        translation.push_back(d.translation);
+        rotation.push_back(d.rotation);
+      }
+      groups[At(GroupOf(sample_.is_loop[k], false))].Add(squares.translation, std::move(translation), t.weight);
+      groups[At(GroupOf(sample_.is_loop[k], true))].Add(squares.rotation, std::move(rotation), t.weight);
+    }
+    return groups;
+  }
+
+  // At the stated information, no weights.
+  void NormalizedChi2(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<Pose>& values) {
+    double chi2 = 0;
+    for (const auto& t : terms) {
+      chi2 += FactorChi2(Factor<Pose>(t.factor), values[At(t.first)], values[At(t.second)]);
+    }
+    out_.normalized_chi2 = chi2 / static_cast<double>(Pose::kDof * (out_.edges - (out_.poses - 1)));
+  }
+
+  void Update(const Group& group, bool is_robust, int g) {
+    Found& found = found_[At(g)];
+    const auto [factor, error] = group.VarianceFactor(is_robust);
+    found.estimate.redundancy = group.Redundancy();
+    found.estimate.log_error = error / 2;
+    found.estimate.determined =
+        found.estimate.redundancy >= kLeastRedundancy && found.estimate.log_error <= kMostLogError;
+    found.step = std::log(factor) / 2;
+  }
+
+  // Where residuals tell only of one kind, the other moves with it; where of neither, none does.
+  void TieUndetermined() {
+    for (int g = 0; g < kGroups; ++g) {
+      Found& found = found_[At(g)];
+      const Found& other = found_[At((g + 2) % kGroups)];
+      if (found.estimate.determined) continue;
+      found.step = other.estimate.determined ? log_scale_[At((g + 2) % kGroups)] + other.step - log_scale_[At(g)]
+                                             : -log_scale_[At(g)];
+    }
+  }
+
+  void Apply(int g) {
+    Found& found = found_[At(g)];
+    double next = log_scale_[At(g)] + found.step;
+    found.estimate.at_floor = floor_[At(g)] > 0 && next < std::log(floor_[At(g)]);
+    if (found.estimate.at_floor) next = std::log(floor_[At(g)]);
+    found.step = next - log_scale_[At(g)];
+    log_scale_[At(g)] = next;
+    found.estimate.sigma_factor = std::exp(next);
+  }
+
+  // Loops whose squares stand out of those of the other loops. A floor counts as if the others were at least so large.
+  void Reweight(const ByGroup<Group>& groups) {
+    const Group &translation = groups[2], &rotation = groups[3];
+    const auto bulk = [&](const Group& group, int g) {
+      std::vector<double> drawn;
+      for (const auto& draws : group.drawn) drawn.insert(drawn.end(), draws.begin(), draws.end());
+      const double typical = Median(group.squares) / Median(std::move(drawn));
+      return found_[At(g)].estimate.at_floor ? std::max(typical, std::exp(2 * found_[At(g)].step)) : typical;
+    };
+    const double t = bulk(translation, 2), r = bulk(rotation, 3);
+    size_t loop = 0;
+    out_.loops_left_out = 0;
+    for (size_t k = 0; k < sample_.terms.size(); ++k) {
+      if (!sample_.is_loop[k]) continue;
+      const double out_by = std::max(translation.squares[loop] / t, rotation.squares[loop] / r) / kStandsOut;
+      sample_.terms[k].weight = out_by > 1 ? 1 / (out_by * out_by) : 1;
+      out_.loops_left_out += sample_.terms[k].weight < 0.5;
+      ++loop;
+    }
+    is_suspicious_ = out_.loops_left_out > 0;
+  }
+
+  void TakeWeights(const std::vector<double>& weights, std::vector<ProbeTerm<Pose>>& terms) {
+    out_.loops_left_out = 0;
+    for (size_t k = 0; k < terms.size(); ++k) {
+      terms[k].weight = sample_.terms[k].weight = weights[k];
+      out_.loops_left_out += weights[k] < 0.5;
+    }
+  }
+
+  InformationEstimate Report() {
+    out_.odometry = {found_[0].estimate, found_[1].estimate};
+    out_.loops = {found_[2].estimate, found_[3].estimate};
+    return out_;
+  }
+
+  const EstimateOptions options_;
+  const StatedInformation stated_;
+  Sample<Pose> sample_;
+  std::vector<Pose> start_;
+  ByGroup<double> floor_{}, log_scale_{};
+  ByGroup<Found> found_{};
+  int steps_suspicious_ = 0;
+  bool is_suspicious_ = false;  // some loops stand out: truncated least squares decides which ones count
+  InformationEstimate out_;
+};
+
+}  // namespace
+
+template <class Pose>
+InformationEstimate EstimateInformationScale(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
+  if (graph.Poses().empty()) throw std::invalid_argument("the graph has no poses");
+  if (options.draws < 2 || options.max_iterations < 1) {
+    throw std::invalid_argument("an estimate of scales takes at least two draws and one iteration");
+  }
+  return Estimator<Pose>(graph, options).Run();
+}
+
+template InformationEstimate EstimateInformationScale<SE2>(const PoseGraph<SE2>&, const EstimateOptions&);
+template InformationEstimate EstimateInformationScale<SE3>(const PoseGraph<SE3>&, const EstimateOptions&);
+
+}  // namespace terse

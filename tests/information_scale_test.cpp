@@ -1,0 +1,281 @@
+// Scales of information from residuals: against the truth of simulated graphs, and against dense leverages.
+
+#include "terse/covariance/information_scale.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "covariance/information_probe.h"
+#include "shared_data.h"
+#include "terse/core/batch_solver.h"
+#include "terse/core/generate.h"
+#include "terse/core/graph_file.h"
+#include "terse/core/initial_values.h"
+#include "terse/core/linear_factor.h"
+
+namespace terse {
+namespace {
+
+template <class Pose>
+PoseGraph<Pose> Simulated(Scene scene, long poses, std::uint64_t seed, double wrong_percent = 0) {
+  GenerateOptions options;
+  options.scene = scene;
+  options.poses = poses;
+  options.laps = 2;
+  options.seed = seed;
+  options.wrong_loop_percent = wrong_percent;
+  PoseGraph<Pose> graph;
+  GenerateSink<Pose> sink;
+  sink.pose = [&](PoseId id, const Pose&) { graph.AddPose(id); };
+  sink.edge = [&](const RelativePoseFactor<Pose>& edge) { graph.AddFactor(edge); };
+  sink.wrong_loop = sink.edge;
+  Generate<Pose>(options, sink);
+  return graph;
+}
+
+// With the unit matrix in place of the information.
+template <class Pose>
+PoseGraph<Pose> WithIdentity(const PoseGraph<Pose>& graph) {
+  PoseGraph<Pose> out;
+  for (const auto& node : graph.Poses()) out.AddPose(node.id, node.T_world_body);
+  for (const auto& node : graph.Factors()) {
+    auto factor = std::get<RelativePoseFactor<Pose>>(node.factor);
+    factor.information.setIdentity();
+    out.AddFactor(factor);
+  }
+  return out;
+}
+
+// Root mean square of the standard deviations that the information states, by kind: what the unit matrix should become.
+KindScale TrueSigmas(const StatedKind& stated) { return {stated.translation_m.median, stated.rotation_rad.median}; }
+
+void ExpectNear(const ScaleEstimate& found, double truth, double tolerance, const std::string& what) {
+  ASSERT_TRUE(found.determined) << what;
+  EXPECT_NEAR(std::log(found.sigma_factor / truth), 0, tolerance)
+      << what << ": " << found.sigma_factor << ", " << truth;
+}
+
+struct Case {
+  Scene scene;
+  long poses;
+  double wrong_percent;
+  const char* name;
+};
+const Case kPlanar[] = {{Scene::kManhattan, 600, 0, "manhattan"},
+                        {Scene::kManhattan, 600, 5, "manhattan, wrong loops"}};
+const Case kSpatial[] = {{Scene::kSphere, 300, 0, "sphere"},
+                         {Scene::kSphere, 300, 5, "sphere, wrong loops"},
+                         {Scene::kTorus, 300, 0, "torus"},
+                         {Scene::kTorus, 300, 5, "torus, wrong loops"},
+                         {Scene::kEllipseN, 0, 0, "ellipse-n"}};
+
+// Of the logarithm. Where loops are wrong the split between odometry and loops can be off by more than the noise is.
+double Tolerance(double wrong_percent) { return std::log(wrong_percent > 0 ? 2.5 : 1.3); }
+
+template <class Pose, class Cases, class Check>
+void ForEachGraph(const Cases& cases, const Check& check) {
+  for (const Case& c : cases) {
+    for (const std::uint64_t seed : {303, 404}) {
+      check(Simulated<Pose>(c.scene, c.poses, seed, c.wrong_percent),
+            std::string(c.name) + ", seed " + std::to_string(seed), Tolerance(c.wrong_percent));
+    }
+  }
+}
+
+template <class Pose, class Cases>
+void ExpectIdentityIsReplaced(const Cases& cases) {
+  ForEachGraph<Pose>(cases, [](const PoseGraph<Pose>& graph, const std::string& what, double tolerance) {
+    const StatedInformation truth = DescribeInformation(graph);
+    const auto found = CalibrateInformation(WithIdentity(graph));
+    const bool is_clean = tolerance == Tolerance(0);
+    EXPECT_EQ(found.verdict, InformationVerdict::kContradicted) << what << ": " << found.message;
+    EXPECT_TRUE(found.stated.odometry.is_identity && found.stated.loops.is_identity && found.stated.same) << what;
+    const auto expect = [&](const KindEstimate& kind, const KindScale& sigmas, const std::string& name) {
+      // From unit matrices with wrong loops among them: nearer to the truth than one is, no more.
+      const auto allowed = [&](double sigma) { return is_clean ? tolerance : 0.8 * std::abs(std::log(sigma)); };
+      ExpectNear(kind.translation, sigmas.translation, allowed(sigmas.translation), what + name + ", translation");
+      ExpectNear(kind.rotation, sigmas.rotation, allowed(sigmas.rotation), what + name + ", rotation");
+    };
+    expect(found.estimate.odometry, TrueSigmas(truth.odometry), ": odometry");
+    expect(found.estimate.loops, TrueSigmas(truth.loops), ": loops");
+  });
+}
+
+TEST(InformationScale, IdentityBecomesWhatTheNoiseIs) {
+  ExpectIdentityIsReplaced<SE2>(kPlanar);
+  ExpectIdentityIsReplaced<SE3>(kSpatial);
+}
+
+template <class Pose, class Cases>
+void ExpectUntouched(const Cases& cases) {
+  ForEachGraph<Pose>(cases, [](const PoseGraph<Pose>& graph, const std::string& what, double tolerance) {
+    const auto found = CalibrateInformation(graph);
+    EXPECT_EQ(found.verdict, InformationVerdict::kConsistent) << what << ": " << found.message;
+    EXPECT_TRUE(found.scale.IsOne()) << what;
+    for (const KindEstimate& kind : {found.estimate.odometry, found.estimate.loops}) {
+      ExpectNear(kind.translation, 1, tolerance, what);
+      ExpectNear(kind.rotation, 1, tolerance, what);
+    }
+  });
+}
+
+TEST(InformationScale, RightInformationIsLeftAlone) {
+  ExpectUntouched<SE2>(kPlanar);
+  ExpectUntouched<SE3>(kSpatial);
+}
+
+// Each group by a factor of its own.
+TEST(InformationScale, KnownFactorsComeBack) {
+  const InformationScale factors{{4, 0.2}, {0.3, 6}};
+  const InformationScale inverse{{1 / 4.0, 1 / 0.2}, {1 / 0.3, 1 / 6.0}};
+  for (const std::uint64_t seed : {11, 12}) {
+    const auto graph = Simulated<SE3>(Scene::kTorus, 500, seed);
+    const auto found = EstimateInformationScale(ScaleInformation(graph, inverse));
+    ExpectNear(found.odometry.translation, factors.odometry.translation, std::log(1.25), "odometry translation");
+    ExpectNear(found.odometry.rotation, factors.odometry.rotation, std::log(1.25), "odometry rotation");
+    ExpectNear(found.loops.translation, factors.loops.translation, std::log(1.25), "loops translation");
+    ExpectNear(found.loops.rotation, factors.loops.rotation, std::log(1.25), "loops rotation");
+  }
+}
+
+TEST(InformationScale, ScalingKeepsStructureAndPriors) {
+  PoseGraph<SE3> graph;
+  for (int k = 0; k < 3; ++k) graph.AddPose({k});
+  Matrix<6, 6> A = Matrix<6, 6>::Random();
+  const Matrix<6, 6> information = A * A.transpose() + Matrix<6, 6>::Identity();
+  graph.AddFactor(RelativePoseFactor<SE3>{{0}, {1}, SE3(), information});
+  graph.AddFactor(RelativePoseFactor<SE3>{{1}, {2}, SE3(), information});
+  graph.AddFactor(RelativePoseFactor<SE3>{{0}, {2}, SE3(), information});
+  graph.AddFactor(PosePriorFactor<SE3>{{1}, SE3(), information});
+  graph.AddFactor(PositionPriorFactor<SE3>{{1}, {0, 0, 0}, information.topLeftCorner<3, 3>()});
+  graph.SetPose({0}, SE3());
+  graph.SetFixed({0}, true);
+  const auto scaled = ScaleInformation(graph, {{2, 4}, {0.5, 0.25}});
+  Matrix<6, 6> covariance = information.inverse();
+  const auto expect = [&](std::size_t k, double t, double r) {
+    Vector<6> s;
+    s << t, t, t, r, r, r;
+    const Matrix<6, 6> expected = (s.asDiagonal() * covariance * s.asDiagonal()).inverse();
+    const auto& f = std::get<RelativePoseFactor<SE3>>(scaled.Factors()[k].factor);
+    EXPECT_LT((f.information - expected).norm(), 1e-9 * expected.norm());
+  };
+  expect(0, 2, 4);
+  expect(1, 2, 4);
+  expect(2, 0.5, 0.25);
+  EXPECT_EQ(std::get<PosePriorFactor<SE3>>(scaled.Factors()[3].factor).information, information);
+  const Matrix<3, 3> position = information.topLeftCorner<3, 3>();
+  EXPECT_EQ((std::get<PositionPriorFactor<SE3>>(scaled.Factors()[4].factor).information), position);
+  EXPECT_TRUE(scaled.Poses()[0].fixed);
+}
+
+// The draws have the variances of the residuals: Sigma - J Cov J', from the dense inverse.
+TEST(InformationScale, DrawsHaveTheVariancesOfResiduals) {
+  const auto graph = Simulated<SE2>(Scene::kManhattan, 60, 5);
+  std::vector<internal::ProbeTerm<SE2>> terms;
+  for (const auto& node : graph.Factors()) {
+    const auto& f = std::get<RelativePoseFactor<SE2>>(node.factor);
+    terms.push_back({graph.IndexOf(f.from), graph.IndexOf(f.to), f, 1});
+  }
+  const auto values = ComputeInitialValues(graph, InitialValues::kChordal);
+  const auto result = SolveBatch(graph, values);
+  const int n = 3 * static_cast<int>(graph.Poses().size()), m = 3 * static_cast<int>(terms.size());
+  MatrixX J = MatrixX::Zero(m, n);
+  for (int k = 0; k < m / 3; ++k) {
+    const auto& t = terms[static_cast<std::size_t>(k)];
+    const auto at = [&](int v) { return result.T_world_body[static_cast<std::size_t>(v)]; };
+    const auto linear = Linearize(Factor<SE2>(t.factor), t.first, t.second, at(t.first), at(t.second));
+    J.block<3, 3>(3 * k, 3 * t.first) = linear.A_first;
+    J.block<3, 3>(3 * k, 3 * t.second) = linear.A_second;
+  }
+  MatrixX H = J.transpose() * J;
+  H.topLeftCorner<3, 3>() += 1e8 * Matrix<3, 3>::Identity();  // the anchor
+  const MatrixX variance = MatrixX::Identity(m, m) - J * H.inverse() * J.transpose();
+  const int draws = 4000;
+  const auto drawn = internal::DrawResiduals(terms, result.T_world_body, result.factor, draws, 3);
+  for (std::size_t k = 0; k < terms.size(); ++k) {
+    const Matrix<3, 3> W = SquareRootInformation(Factor<SE2>(terms[k].factor));
+    const long row = 3 * static_cast<long>(k);
+    const Matrix<3, 3> residual = W.inverse() * variance.block<3, 3>(row, row) * W.inverse().transpose();
+    const Matrix<3, 3> stated = terms[k].factor.information.inverse();
+    const Matrix<2, 2> share = stated.topLeftCorner<2, 2>().inverse() * residual.topLeftCorner<2, 2>();
+    double translation = 0, rotation = 0;
+    for (const auto& d : drawn[k]) {
+      translation += d.translation / draws;
+      rotation += d.rotation / draws;
+    }
+    // The standard error of a mean of squares is sqrt(2 / draws) of it: 2.2 %.
+    EXPECT_NEAR(translation, share.trace() / 2, 0.12 * share.trace() / 2 + 1e-9) << k;
+    EXPECT_NEAR(rotation, residual(2, 2) / stated(2, 2), 0.12 * residual(2, 2) / stated(2, 2) + 1e-9) << k;
+  }
+}
+
+TEST(InformationScale, WithoutLoopsNothingIsKnown) {
+  auto graph = Simulated<SE2>(Scene::kManhattan, 100, 1);
+  PoseGraph<SE2> chain;
+  for (const auto& node : graph.Poses()) chain.AddPose(node.id);
+  for (const auto& node : graph.Factors()) {
+    auto f = std::get<RelativePoseFactor<SE2>>(node.factor);
+    f.information.setIdentity();
+    if (f.to.value - f.from.value == 1) chain.AddFactor(f);
+  }
+  const auto found = CalibrateInformation(chain);
+  EXPECT_EQ(found.verdict, InformationVerdict::kUndetermined);
+  EXPECT_TRUE(found.scale.IsOne());
+  EXPECT_NE(found.message.find("no loops"), std::string::npos) << found.message;
+  EXPECT_TRUE(found.stated.IsPlaceholder());
+  EXPECT_THROW(EstimateInformationScale(PoseGraph<SE2>()), std::invalid_argument);
+}
+
+// Measurements that agree to rounding say nothing, whatever the information is.
+TEST(InformationScale, ExactMeasurementsSayNothing) {
+  for (const double scale : {1.0, 400.0}) {
+    PoseGraph<SE2> graph;
+    std::vector<SE2> truth;
+    for (int k = 0; k < 80; ++k) {
+      truth.push_back(SE2(5 * std::cos(0.2 * k), 5 * std::sin(0.2 * k), 0.2 * k));
+      graph.AddPose({k});
+      for (const int back : {1, 31, 32}) {
+        if (k < back) continue;
+        const SE2 T = truth[static_cast<std::size_t>(k - back)].Inverse() * truth.back();
+        graph.AddFactor(RelativePoseFactor<SE2>{{k - back}, {k}, T, scale * Matrix<3, 3>::Identity()});
+      }
+    }
+    const auto found = CalibrateInformation(graph);
+    EXPECT_EQ(found.verdict, InformationVerdict::kUndetermined) << found.message;
+    EXPECT_TRUE(found.scale.IsOne());
+  }
+}
+
+TEST(InformationScale, BenchmarksAreLeftAlone) {
+  TERSE_NEEDS(folder, "graphs");
+  for (const char* name : {"3d/sphere2500.g2o", "2d/manhattan.g2o", "2d/intel.g2o", "real/copslam_KITTI_02_vo.g2o"}) {
+    const auto file = ReadGraph(folder + "/" + name);
+    std::visit(
+        [&](const auto& graph) {
+          const auto found = CalibrateInformation(graph);
+          EXPECT_TRUE(found.scale.IsOne()) << name << ": " << found.message;
+        },
+        file.graph);
+  }
+}
+
+TEST(InformationScale, ExportsWithTheUnitMatrixGetPlausibleOnes) {
+  TERSE_NEEDS(folder, "graphs/real");
+  for (const char* name : {"lidarslam_nuc_pose_graph.g2o", "turtlezhong_kitti_02.g2o"}) {
+    const auto found = CalibrateInformation(ReadPoseGraph<SE3>(folder + "/" + name));
+    EXPECT_EQ(found.verdict, InformationVerdict::kContradicted) << name << ": " << found.message;
+    EXPECT_TRUE(found.stated.odometry.is_identity && found.stated.loops.is_identity);
+    for (const KindScale& kind : {found.scale.odometry, found.scale.loops}) {
+      EXPECT_GT(kind.translation, 1e-3) << name;
+      EXPECT_LT(kind.translation, 0.5) << name;
+      EXPECT_LT(kind.rotation, 0.05) << name;
+    }
+  }
+}
+
+}  // namespace
+}  // namespace terse
