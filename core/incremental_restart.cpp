@@ -30,6 +30,8 @@ constexpr double kGrowth = 2;
 // to 1.4 on MIT's far loops. Random walks with 0.1 to 0.2 rad of noise per metre and few loops, a fifth of which end in
 // a wrong minimum, reach 0.3 to 12.
 constexpr double kBeyond = 2, kCorrected = 1;
+// For Finish, which has time, so many times is enough.
+constexpr double kCorrectedAtFinish = 0.05;
 // A smaller cost per degree of freedom is rounding.
 constexpr double kRounding = 1e-9;
 constexpr long kLeastLoops = 3;
@@ -158,7 +160,8 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
     BatchOptions quiet;
     quiet.threads = options.threads;
     const double cost = Chi2();
-    if (const auto lower = LowerMinimum(cost, watch_.corrected > kCorrected * LinearMinimum(), quiet)) {
+    const bool suspected = watch_.restarts > 0 || watch_.corrected > kCorrectedAtFinish * LinearMinimum();
+    if (const auto lower = LowerMinimum(cost, suspected, quiet)) {
       BatchResult<Pose> result = FinishFrom(lower->T_world_body, options);
       if (result.termination != Termination::kNotPositiveDefinite) {
         Log(options_.log, LogLevel::kInfo, "finish: a wrong minimum, chi2 ", cost,
