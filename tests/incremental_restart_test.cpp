@@ -2,12 +2,11 @@
 
 #include <gtest/gtest.h>
 
-#include <cmath>
-#include <cstdio>
+#include <algorithm>
 
+#include "slow_build.h"
 #include "terse/core/incremental_solver.h"
 #include "terse/core/initial_values.h"
-#include "slow_build.h"
 #include "testing_incremental.h"
 #include "testing_walk.h"
 
@@ -38,11 +37,12 @@ Outcome RunWalk(const WalkOptions& walk, bool restart, int threads = 1) {
   return out;
 }
 
+// Which minimum a walk with so much noise ends in is partly chance: another one on the way may lead to a worse one.
 TEST(IncrementalRestartTest, LeavesWrongMinima) {
-  int trapped = 0, freed = 0;
-  double log_ratio = 0;
+  int lower = 0, higher = 0;
   for (const double radians : {0.15, 0.2}) {
     for (unsigned seed = 1; seed <= (kSlowBuild ? 2U : 24U); ++seed) {
+      SCOPED_TRACE(::testing::Message() << radians << " rad, seed " << seed);
       WalkOptions walk;
       walk.seed = seed;
       walk.poses = 700;
@@ -50,13 +50,13 @@ TEST(IncrementalRestartTest, LeavesWrongMinima) {
       walk.loops = 40;
       const Outcome without = RunWalk(walk, false), with = RunWalk(walk, true);
       EXPECT_EQ(without.restarts, 0);
-      trapped += with.chi2 < 0.98 * without.chi2;
-      freed += with.chi2 > 1.02 * without.chi2;
-      log_ratio += std::log(with.chi2 / without.chi2);
-      std::printf("%g rad, seed %u: chi2 %.6g, with restarts %.6g (%d)\n", radians, seed, without.chi2, with.chi2,
-                  with.restarts);
+      EXPECT_LE(with.chi2, 1.3 * without.chi2 + 1e-9);
+      lower += with.chi2 < 0.95 * without.chi2;
+      higher += with.chi2 > 1.02 * without.chi2;
     }
   }
+  EXPECT_GE(lower, kSlowBuild ? 1 : 2);
+  EXPECT_LE(higher, lower);
 }
 
 // A threshold in units of chi2 would fire with one of the scales.
@@ -70,7 +70,9 @@ TEST(IncrementalRestartTest, HealthyMapsAreLeftAloneWhateverTheScale) {
       walk.scale = scale;
       IncrementalOptions options;
       int tries = 0;
-      options.log = [&](LogLevel, std::string_view text) { tries += text.find("relaxation") != std::string_view::npos; };
+      options.log = [&](LogLevel, std::string_view text) {
+        tries += text.find("relaxation") != std::string_view::npos;
+      };
       IncrementalSolver<SE2> solver(options);
       for (const auto& update : OnePosePerUpdate(NoisyWalk(walk))) solver.Update(update);
       EXPECT_EQ(tries, 0) << "scale " << scale << ", seed " << seed;

@@ -14,10 +14,10 @@ namespace terse::testing {
 
 struct WalkOptions {
   unsigned seed = 1;
-  int poses = 1000;            // a metre apart; every fifth may turn by 90 degrees
+  int poses = 1000;  // a metre apart; every fifth may turn by 90 degrees
   double radians_per_step = 0.1;
-  int loops = 15;              // between poses at the same place, more than a fifth of the walk apart
-  double scale = 1;            // of the information alone
+  int loops = 15;    // between poses at the same place, more than a fifth of the walk apart
+  double scale = 1;  // of the information alone
 };
 
 inline PoseGraph<SE2> NoisyWalk(const WalkOptions& options) {
