@@ -1,6 +1,6 @@
 #pragma once
-// What batch optimisation minimises, and how it moves: shared by the solver and the comparison of starts. Private to the
-// library.
+// What batch optimisation minimises, and how it moves: shared by the solver and the comparison of starts. Private to
+// the library.
 
 #include <algorithm>
 #include <cmath>
@@ -74,8 +74,9 @@ class Problem {
   bool IsRobust() const { return !is_robust_.empty(); }
   // Without fixed poses.
   double RobustCost(const std::vector<Pose>& values) const {
-    return SumOfCosts(values, 0, counted_,
-                      [&](std::size_t k, double s) { return is_robust_[k] ? terse::RobustCost(kernel_, s, width_) : s; });
+    return SumOfCosts(values, 0, counted_, [&](std::size_t k, double s) {
+      return is_robust_[k] ? terse::RobustCost(kernel_, s, width_) : s;
+    });
   }
   double LargestRobustChi2(const std::vector<Pose>& values) const {
     double largest = 0;
@@ -178,7 +179,8 @@ class Problem {
   }
   LinearFactor<B> LinearizeTerm(std::size_t k, const std::vector<Pose>& values) const {
     const Term& t = terms_[k];
-    LinearFactor<B> out = Linearize(*t.factor, t.W, t.first, t.second, values[static_cast<std::size_t>(t.first)], values[static_cast<std::size_t>(t.second)]);
+    LinearFactor<B> out = Linearize(*t.factor, t.W, t.first, t.second, values[static_cast<std::size_t>(t.first)],
+                                    values[static_cast<std::size_t>(t.second)]);
     if (!IsRobust()) return out;
     const double root = std::sqrt(TermWeight(k, out.residual.squaredNorm()));
     out.A_first *= root;

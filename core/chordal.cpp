@@ -131,9 +131,8 @@ std::vector<PosePriorFactor<Pose>> PosePriors(const PoseGraph<Pose>& graph) {
 
 template <class Pose>
 bool HasPositionPriors(const PoseGraph<Pose>& graph) {
-  return std::any_of(graph.Factors().begin(), graph.Factors().end(), [](const auto& node) {
-    return std::holds_alternative<PositionPriorFactor<Pose>>(node.factor);
-  });
+  return std::any_of(graph.Factors().begin(), graph.Factors().end(),
+                     [](const auto& node) { return std::holds_alternative<PositionPriorFactor<Pose>>(node.factor); });
 }
 
 // The unknown of a pose is X = R'; the problem is the same for each of its columns, which are the rows of R. In 2D the

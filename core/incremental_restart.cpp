@@ -2,10 +2,10 @@
 //
 // Were the residuals linear, each update would raise the least chi2 by its innovation, r' (Omega^-1 + J Sigma J')^-1 r,
 // and nothing else would change it. So chi2 would be the sum of the innovations, whatever the scale of the information.
-// What relinearisation does to the linearised minimum measures how far the residuals are from that. A map that went into
-// a wrong minimum has been through large corrections, and its cost lies far above the innovations or was corrected by
-// many times itself. Then, at first seldom, a chordal relaxation of the graph as it is shows whether there is anything
-// lower.
+// What relinearisation does to the linearised minimum measures how far the residuals are from that. A map that went
+// into a wrong minimum has been through large corrections, and its cost lies far above the innovations or was corrected
+// by many times itself. Then, at first seldom, a chordal relaxation of the graph as it is shows whether there is
+// anything lower.
 
 #include <algorithm>
 #include <cmath>
@@ -30,9 +30,13 @@ constexpr double kGrowth = 2;
 // to 1.4 on MIT's far loops. Random walks with 0.1 to 0.2 rad of noise per metre and few loops, a fifth of which end in
 // a wrong minimum, reach 0.3 to 12.
 constexpr double kBeyond = 2, kCorrected = 1;
+// For Finish, which has time, so many times is enough.
+constexpr double kCorrectedAtFinish = 0.05;
 // A smaller cost per degree of freedom is rounding.
 constexpr double kRounding = 1e-9;
 constexpr long kLeastLoops = 3;
+// The estimate's chi2 above the linearised minimum by more than this factor: it has not settled.
+constexpr double kSettled = 1.5;
 // Steps of a restart, and the cost by which it must be lower. An estimate is within 1e-3 of its own minimum.
 constexpr int kMostIterations = 20;
 constexpr double kLower = 0.99;
@@ -75,6 +79,8 @@ bool IncrementalSolver<Pose>::SeemsTrapped() const {
 template <class Pose>
 void IncrementalSolver<Pose>::RestartIfLower(StepReport& report) {
   const double cost = Chi2();
+  // Still on its way: the next steps bring most such maps to rest in as good a minimum by themselves.
+  if (cost > kSettled * LinearMinimum()) return;
   watch_.cost_tried = LinearMinimum();
   watch_.poses_tried = static_cast<long>(graph_.Poses().size());
   BatchOptions options;
@@ -158,7 +164,8 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
     BatchOptions quiet;
     quiet.threads = options.threads;
     const double cost = Chi2();
-    if (const auto lower = LowerMinimum(cost, watch_.corrected > kCorrected * LinearMinimum(), quiet)) {
+    const bool suspected = watch_.restarts > 0 || watch_.corrected > kCorrectedAtFinish * LinearMinimum();
+    if (const auto lower = LowerMinimum(cost, suspected, quiet)) {
       BatchResult<Pose> result = FinishFrom(lower->T_world_body, options);
       if (result.termination != Termination::kNotPositiveDefinite) {
         Log(options_.log, LogLevel::kInfo, "finish: a wrong minimum, chi2 ", cost,
@@ -171,9 +178,9 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
   return FinishFrom(Estimates(), options);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                              \
-  template void IncrementalSolver<Pose>::WatchStep(double, double, StepReport&);             \
-  template bool IncrementalSolver<Pose>::MoveTo(const std::vector<Pose>&);                   \
+#define TERSE_INSTANTIATE(Pose)                                                  \
+  template void IncrementalSolver<Pose>::WatchStep(double, double, StepReport&); \
+  template bool IncrementalSolver<Pose>::MoveTo(const std::vector<Pose>&);       \
   template BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -194,7 +194,9 @@ BatchResult<Pose> IncrementalSolver<Pose>::FinishFrom(const std::vector<Pose>& T
   if (result.termination == Termination::kNotPositiveDefinite) return result;
   if (IsRobust()) TakeWeights(result.weights);
   // The factor of this solver moves to the optimum too: every linearisation point changes.
+  const double before = LinearMinimum();
   if (!MoveTo(result.T_world_body)) throw NumericalError("the system is singular at the optimum");
+  watch_.corrected += std::abs(LinearMinimum() - before);
   return result;
 }
 

@@ -195,8 +195,7 @@ class Comparison {
       if (!t.unavailable.empty()) {
         internal::Log(options_.log, LogLevel::kInfo, "start: no ", Name(t.method), " values: ", t.unavailable);
       } else if (t.same) {
-        internal::Log(options_.log, LogLevel::kInfo, "start: ", Name(t.method), " is the same as ",
-                      Name(*t.same));
+        internal::Log(options_.log, LogLevel::kInfo, "start: ", Name(t.method), " is the same as ", Name(*t.same));
       } else {
         internal::Log(options_.log, LogLevel::kInfo, "start: ", Name(t.method), " costs ", t.cost_at_start, ", ",
                       t.cost, " after ", t.iterations, " steps", &start == chosen ? "; it goes on" : "");

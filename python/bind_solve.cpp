@@ -168,7 +168,8 @@ void BindSolve(py::module_& module) {
       py::arg("progress") = py::none(),
       "Minimises chi2 over all poses of a PoseGraph, which is not changed (Solution).\n\n"
       "initial: 'compose' (pose by pose, as they would have come in), 'file' (the graph's values), 'tree', 'chordal' "
-      "(for much noise), 'auto' (the best of compose, file and chordal after a few steps; with robust, compose), or T_world_body in the order of graph.ids, (n, 3), (n, 7) or (n, 4, 4).\n"
+      "(for much noise), 'auto' (the best of compose, file and chordal after a few steps; with robust, compose), or "
+      "T_world_body in the order of graph.ids, (n, 3), (n, 7) or (n, 4, 4).\n"
       "method: 'levenberg_marquardt' or 'gauss_newton'.\n"
       "relative_tolerance: converged when a step lowers the cost by less than this share of it.\n"
       "robust: the cost of loops, which may be wrong: 'none', 'huber', 'cauchy', 'tukey', 'dcs' or 'gnc'; "

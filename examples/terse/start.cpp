@@ -38,8 +38,8 @@ std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method
   return std::move(choice.T_world_body);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                     \
-  template std::vector<Pose> StartValues<Pose>(const PoseGraph<Pose>&, InitialValues, const BatchOptions&,          \
+#define TERSE_INSTANTIATE(Pose)                                                                            \
+  template std::vector<Pose> StartValues<Pose>(const PoseGraph<Pose>&, InitialValues, const BatchOptions&, \
                                                nlohmann::ordered_json&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

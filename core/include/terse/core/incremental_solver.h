@@ -232,8 +232,8 @@ class IncrementalSolver {
   PhaseSeconds seconds_;
   // What tells a wrong minimum.
   struct Watch {
-    double explained = 0;  // sum of the innovations at arrival: what chi2 comes to if the residuals were linear
-    double corrected = 0;  // sum of the changes that relinearisation made to the linearised minimum, without sign
+    double explained = 0;   // sum of the innovations at arrival: what chi2 comes to if the residuals were linear
+    double corrected = 0;   // sum of the changes that relinearisation made to the linearised minimum, without sign
     double cost_tried = 0;  // when a restart was last tried
     long poses_tried = 0;
     long restarts = 0;
