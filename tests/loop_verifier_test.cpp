@@ -152,7 +152,8 @@ TEST_F(LoopVerifierTest, RepeatsBitByBit) {
   EXPECT_EQ(first.covariance, second.covariance);
 }
 
-// The outcome and the motion stay, the covariance is the paper's: more than Schur's, which knows how good the matches are.
+// The outcome and the motion stay, the covariance is the paper's: more than Schur's, which knows how good the matches
+// are.
 TEST_F(LoopVerifierTest, CovarianceByMonteCarlo) {
   LoopVerifierOptions options;
   options.covariance = MotionCovariance::kMonteCarlo;
