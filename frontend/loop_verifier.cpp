@@ -122,7 +122,7 @@ LoopVerifier::LoopVerifier(const StereoCamera& camera, const LoopVerifierOptions
     : camera_(camera), options_(options) {
   const FeatureOptions& f = options.features;
   if (f.levels < 1 || f.levels > 8 || !(f.level_scale > 1) || f.most < 0 || options.most_aligned < 0 ||
-      !(options.disparity_sigma >= 0)) {
+      !(options.disparity_sigma >= 0) || !(options.monte_carlo.sigma > 0) || options.monte_carlo.samples < 8) {
     throw std::invalid_argument("loop verifier options: a number is out of its domain");
   }
 }
@@ -226,6 +226,11 @@ LoopVerification LoopVerifier::Verify(PoseId id) {
                 : out.coverage < options_.min_coverage ? LoopOutcome::kPoorCoverage
                 : !certain                             ? LoopOutcome::kUncertain
                                                        : LoopOutcome::kVerified;
+  if (out.Verified() && options_.covariance == MotionCovariance::kMonteCarlo) {
+    const auto seed = static_cast<std::uint64_t>(id.value);
+    const auto sampled = MonteCarloCovariance(camera_, refined.matches, *motion, options_.monte_carlo, seed);
+    if (sampled) out.covariance = *sampled + d * d.transpose();
+  }
   return out;
 }
 

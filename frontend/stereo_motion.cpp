@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <stdexcept>
 
 #include "stereo_reprojection.h"
 
@@ -233,6 +234,23 @@ std::optional<Matrix<6, 6>> MonteCarloCovariance(const StereoCamera& camera, con
   Matrix<6, 6> covariance = Matrix<6, 6>::Zero();
   for (const Vector<6>& error : errors) covariance += (error - mean) * (error - mean).transpose();
   return covariance / static_cast<double>(errors.size() - 1);
+}
+
+std::optional<Matrix<6, 6>> MonteCarloCovariance(const StereoCamera& camera, const std::vector<StereoMatch>& matches,
+                                                 const StereoMotion& motion, const MonteCarloOptions& options,
+                                                 std::uint64_t seed) {
+  if (!(options.sigma > 0) || options.samples < 8) {
+    throw std::invalid_argument("Monte Carlo covariance: sigma must be positive, and samples 8 at least");
+  }
+  std::vector<StereoMatch> inliers;
+  for (size_t k = 0; k < matches.size(); ++k) {
+    if (motion.inlier[k] != 0) inliers.push_back(matches[k]);
+  }
+  constexpr double kNoBound = 1e9;
+  StereoMotionOptions plain;
+  plain.huber = plain.outlier = kNoBound;
+  plain.min_disparity = 0.1;  // noise is not to choose among far points
+  return MonteCarloCovariance(camera, inliers, motion.T_a_b, options.sigma, options.samples, seed, plain);
 }
 
 }  // namespace terse

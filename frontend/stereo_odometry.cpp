@@ -34,7 +34,8 @@ class StereoOdometry::State {
 
  private:
   struct Motion {
-    StereoMotion motion;            // from the reference frame
+    StereoMotion motion;  // from the reference frame
+    std::vector<StereoMatch> matches;
     std::vector<Vector<3>> points;  // as measured, of the window's points
     std::vector<char> inlier;
   };
@@ -48,6 +49,7 @@ class StereoOdometry::State {
   std::optional<Motion> MeasureMotion(const StereoPyramid& images, const SE3& predicted, int levels,
                                       OdometryStep& step) const;
   bool Plausible(const SE3& T_reference_current) const;
+  Matrix<6, 6> CovarianceOf(const Motion& motion, OdometryTimes& times);
   Matrix<6, 6> LostCovariance() const;
 
   StereoCamera camera_;
@@ -60,6 +62,7 @@ class StereoOdometry::State {
   std::optional<SE3> velocity_;  // motion in one frame
   int gap_ = 0;                  // frames lost since the reference
   int repeats_ = 0;              // equal images in a row
+  std::uint64_t measured_ = 0;   // motions whose covariance was taken: seeds of Monte Carlo
   FrameQuality usual_;           // running mean over tracked frames
 };
 
@@ -153,7 +156,7 @@ std::optional<StereoOdometry::State::Motion> StereoOdometry::State::MeasureMotio
     options.min_inliers = std::max(options.min_inliers, options_.min_inliers);
     auto motion = EstimateStereoMotion(camera_, matches, options, initial->T_a_b);
     if (motion) {
-      result = Motion{*motion, measured.uvu, std::vector<char>(points.size(), 0)};
+      result = Motion{*motion, matches, measured.uvu, std::vector<char>(points.size(), 0)};
       for (size_t i = 0; i < index.size(); ++i) result->inlier[index[i]] = motion->inlier[i];
     }
   }
@@ -169,6 +172,19 @@ bool StereoOdometry::State::Plausible(const SE3& T_reference_current) const {
   const double difference = (T_reference_current.Translation() - predicted.Translation()).norm();
   const double speed = velocity_ ? velocity_->Translation().norm() : 4;  // metres per frame: any car's
   return difference <= options_.max_acceleration * frames + 2 * speed;   // two frames dropped
+}
+
+Matrix<6, 6> StereoOdometry::State::CovarianceOf(const Motion& motion, OdometryTimes& times) {
+  Matrix<6, 6> covariance = motion.motion.covariance;
+  if (options_.covariance == MotionCovariance::kMonteCarlo) {
+    LapTimer timer;
+    const auto sampled =
+        MonteCarloCovariance(camera_, motion.matches, motion.motion, options_.monte_carlo, ++measured_);
+    if (sampled) covariance = *sampled;
+    times.motion += timer.Lap();
+  }
+  const Vector<6>& J_motion_offset = motion.motion.J_motion_offset;
+  return covariance + window_.Offset().Variance() * J_motion_offset * J_motion_offset.transpose();
 }
 
 Matrix<6, 6> StereoOdometry::State::LostCovariance() const {
@@ -217,9 +233,7 @@ OdometryStep StereoOdometry::State::TrackFrame(const StereoPyramid& images, Odom
     frames *= std::round(stretched);
   }
   velocity_ = Power(motion->motion.T_a_b, 1.0 / frames);
-  const Vector<6>& J_motion_offset = motion->motion.J_motion_offset;
-  step.covariance =
-      motion->motion.covariance + window_.Offset().Variance() * J_motion_offset * J_motion_offset.transpose();
+  step.covariance = CovarianceOf(*motion, step.times);
   if (gap_ > 0) {
     // The motion since the reference is known, that since the previous frame is not: that one was lost.
     step.covariance = step.covariance + LostCovariance();
@@ -259,7 +273,8 @@ StereoOdometry::StereoOdometry(const StereoCamera& camera, const StereoOdometryO
   }
   const bool valid = options.forward_backward > 0 && options.circle > 0 && options.min_disparity > 0 &&
                      options.max_disparity > 0 && options.max_disparity <= 1 && options.disparity_offset_sigma > 0 &&
-                     options.max_angle > 0 && options.max_acceleration > 0 && options.motion.huber > 0;
+                     options.max_angle > 0 && options.max_acceleration > 0 && options.motion.huber > 0 &&
+                     options.monte_carlo.sigma > 0 && options.monte_carlo.samples >= 8;
   if (!valid) throw std::invalid_argument("stereo odometry options: a number is out of its domain");
   state_ = std::make_unique<State>(camera, options);
 }

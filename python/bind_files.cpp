@@ -23,8 +23,14 @@ ReadFile ReadGraphFile(const Path& path, const std::string& rotation_information
   ReadOptions options;
   options.rotation_information = FromWord<RotationInformation>(rotation_information);
   options.repair_information = repair_information;
-  const py::gil_scoped_release release;
-  GraphFile file = ReadGraph(path.string(), options);
+  GraphFile file = [&] {
+    const py::gil_scoped_release release;
+    return ReadGraph(path.string(), options);
+  }();
+  const std::string skipped = DescribeSkippedTags(file);
+  const std::string warning = path.string() + ": lines with tags that are not known here were skipped: " + skipped;
+  // Where warnings are errors this one is raised.
+  if (!skipped.empty() && PyErr_WarnEx(PyExc_UserWarning, warning.c_str(), 1) != 0) throw py::error_already_set();
   Graph graph(std::move(file.graph));
   return {std::move(graph), std::move(file)};
 }
@@ -55,7 +61,8 @@ void BindFiles(py::module_& module) {
           "format", [](const ReadFile& f) { return Name(f.facts.format); }, "g2o, TORO or iSAM.")
       .def_property_readonly(
           "skipped_tags", [](const ReadFile& f) { return f.facts.skipped_tags; },
-          "Lines that were skipped, by tag: parameters and tags that are not known.")
+          "Lines that were skipped, by tag: parameters and tags that are not known; FIX: how many ids of such "
+          "vertices.")
       .def_property_readonly(
           "repaired_informations", [](const ReadFile& f) { return f.facts.repaired_informations; },
           "How many information matrices were not positive definite.");
@@ -74,7 +81,8 @@ void BindFiles(py::module_& module) {
       "part "
       "('quaternion', g2o's definition) or of the rotation vector ('radians', as GTSAM and Ceres read it).\n"
       "repair_information: clamp the eigenvalues of matrices that are not positive definite instead of refusing them.\n"
-      "FileError with path, line and cause for anything wrong. Without the GIL.");
+      "FileError with path, line and cause for anything wrong; a UserWarning where lines with tags that are not known "
+      "were skipped. Without the GIL.");
   module.def(
       "write_graph", &Write, py::arg("graph"), py::arg("path"), py::kw_only(), py::arg("format") = "g2o",
       py::arg("rotation_information") = "quaternion",

@@ -94,6 +94,16 @@ TEST_F(KittiCommandTest, ChoosesFramesAndSearch) {
   EXPECT_EQ(JsonFile("both/appearance/stats.json").at("poses_kept"), kFrames);
 }
 
+TEST_F(KittiCommandTest, CovariancesByMonteCarlo) {
+  Succeed("kitti street --output schur --strategy apfl --frames 0:4 --quiet");
+  Succeed("kitti street --output sampled --strategy apfl --frames 0:4 --covariance monte-carlo --quiet");
+  EXPECT_EQ(JsonFile("schur/stats.json").at("covariance"), "schur");
+  EXPECT_EQ(JsonFile("sampled/stats.json").at("covariance"), "monte-carlo");
+  EXPECT_EQ(Read("schur/odometry.kitti.txt"), Read("sampled/odometry.kitti.txt")) << "the motions are the same";
+  EXPECT_NE(Read("schur/covariances.csv"), Read("sampled/covariances.csv"));
+  ExpectFailure("kitti street --output out --covariance sampled", 2, "sampled");
+}
+
 TEST_F(KittiCommandTest, ErrorsNameTheCause) {
   ExpectFailure("kitti nowhere --output out", 1, "nowhere");
   ExpectFailure("kitti street --output out --frames 5:20", 1, "5:20");

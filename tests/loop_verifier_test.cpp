@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
+#include <cmath>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
@@ -149,6 +150,29 @@ TEST_F(LoopVerifierTest, RepeatsBitByBit) {
   EXPECT_EQ(first.inliers, second.inliers);
   EXPECT_EQ(first.T_candidate_current.Log(), second.T_candidate_current.Log());
   EXPECT_EQ(first.covariance, second.covariance);
+}
+
+// The outcome and the motion stay, the covariance is the paper's: more than Schur's, which knows how good the matches
+// are.
+TEST_F(LoopVerifierTest, CovarianceByMonteCarlo) {
+  LoopVerifierOptions options;
+  options.covariance = MotionCovariance::kMonteCarlo;
+  LoopVerifier verifier(street_.Camera(), options);
+  verifier.SetCurrent(street_.Render(20));
+  verifier.Keep({20});
+  verifier.SetCurrent(street_.Render(23));
+  const LoopVerification sampled = verifier.Verify({20}), schur = Verify(20, 23);
+  ASSERT_TRUE(sampled.Verified());
+  EXPECT_EQ(sampled.T_candidate_current.Log(), schur.T_candidate_current.Log());
+  EXPECT_EQ(sampled.covariance, verifier.Verify({20}).covariance) << "repeats bit by bit";
+  EXPECT_NE(sampled.covariance, schur.covariance);
+  for (int axis = 0; axis < 6; ++axis) {
+    const double ratio = std::sqrt(sampled.covariance(axis, axis) / schur.covariance(axis, axis));
+    EXPECT_GT(ratio, 0.3) << axis;
+    EXPECT_LT(ratio, 10) << axis;
+  }
+  options.monte_carlo.sigma = 0;
+  EXPECT_THROW(LoopVerifier(street_.Camera(), options), std::invalid_argument);
 }
 
 // Even frames on the way out, odd ones on the way back.

@@ -234,6 +234,33 @@ TEST_F(ReportCommand, DrawsForPapers) {
   }
 }
 
+// An ellipse of a run far larger than its panel would hide the other run, the head and the legend.
+TEST_F(ReportCommand, ClipsEllipsesToTheirPanel) {
+  Succeed("compact laps.g2o --strategy apal --output apal --quiet");
+  Succeed("plot fpfl apal --what trajectory --output pictures");
+  const std::string map = Read("pictures/comparison_trajectory.svg");
+  double right = 0;  // of the panel before
+  std::size_t drawn = 0;
+  for (int panel = 0; panel < 2; ++panel) {
+    const std::string id = "panel-" + std::to_string(panel);
+    const std::size_t rectangle = map.find("<clipPath id=\"" + id + "\"><rect ");
+    const std::size_t begin = map.find("<g clip-path=\"url(#" + id + ")\">"), end = map.find("</g>", begin);
+    ASSERT_NE(rectangle, std::string::npos);
+    ASSERT_NE(begin, std::string::npos);
+    ASSERT_NE(end, std::string::npos);
+    double x = 0, y = 0, width = 0;
+    ASSERT_EQ(std::sscanf(map.c_str() + map.find("x=", rectangle), "x=\"%lf\" y=\"%lf\" width=\"%lf\"", &x, &y, &width),
+              3);
+    EXPECT_GT(x, right) << "panels do not overlap";
+    right = x + width;
+    for (std::size_t at = begin; (at = map.find("<ellipse rx=", at + 1)) < end;) ++drawn;
+  }
+  EXPECT_GT(drawn, 0u);
+  std::size_t all = 0;
+  for (std::size_t at = 0; (at = map.find("<ellipse rx=", at)) != std::string::npos; ++at) ++all;
+  EXPECT_EQ(drawn, all) << "no ellipse is outside";
+}
+
 TEST_F(ReportCommand, DrawsPng) {
   Succeed("plot fpfl --what trajectory --format png --width 640 --output pictures");
   const std::string png = Read("pictures/trajectory.png");

@@ -98,6 +98,41 @@ TEST(StereoMotion, CovarianceIsThatOfMonteCarlo) {
   EXPECT_EQ(*once, *again);
 }
 
+// Wrong matches are not sampled, and noise of a pixel is not cut off by bounds that are made for less.
+TEST(StereoMotion, MonteCarloTakesTheInliersAndThePapersNoise) {
+  Random rng(8);
+  auto matches = ExactMatches(kKittiLike, CarMotion(), 120, rng);
+  AddNoise(matches, 0.1, rng);
+  const auto right = matches;
+  for (size_t k = 0; k < matches.size(); k += 4) matches[k].b += Vector<3>(25, -12, 18);
+  StereoMotionOptions tight;
+  tight.huber = 0.2;
+  tight.outlier = 1;
+  const auto motion = EstimateStereoMotion(kKittiLike, matches, tight, CarMotion());
+  ASSERT_TRUE(motion);
+  ASSERT_EQ(motion->inliers, 90);
+  MonteCarloOptions options;
+  options.samples = 200;
+  const auto sampled = MonteCarloCovariance(kKittiLike, matches, *motion, options, 3);
+  ASSERT_TRUE(sampled);
+  std::vector<StereoMatch> inliers;
+  for (size_t k = 0; k < right.size(); ++k) {
+    if (k % 4 != 0) inliers.push_back(right[k]);
+  }
+  const auto expected = EstimateStereoMotion(kKittiLike, inliers, PlainOptions(1), CarMotion());
+  ASSERT_TRUE(expected);
+  const double scale = expected->residual_scale;
+  for (int axis = 0; axis < 6; ++axis) {
+    const double sigma = std::sqrt(expected->covariance(axis, axis)) / scale;  // of one pixel
+    EXPECT_NEAR(std::sqrt((*sampled)(axis, axis)) / sigma, 1, 0.2) << axis;    // 200 samples: 5 %
+  }
+  options.samples = 7;
+  EXPECT_THROW(MonteCarloCovariance(kKittiLike, matches, *motion, options, 3), std::invalid_argument);
+  options.samples = 8;
+  options.sigma = 0;
+  EXPECT_THROW(MonteCarloCovariance(kKittiLike, matches, *motion, options, 3), std::invalid_argument);
+}
+
 // The joint problem again, independently: points in space, Jacobians by differences, the whole Hessian inverted.
 TEST(StereoMotion, CovarianceIsThatOfTheDenseJointProblem) {
   Random rng(5);

@@ -107,6 +107,33 @@ TEST(StereoOdometry, FollowsACorridor) {
   EXPECT_LT(nees, 3);
 }
 
+// The motions are the same, the covariances the paper's: of noise of a pixel, whatever the residuals are.
+TEST(StereoOdometry, CovariancesByMonteCarlo) {
+  StereoOdometryOptions options = SmallOptions();
+  options.estimate_disparity_offset = false;
+  options.disparity_offset_sigma = 1e-6;
+  options.motion.covariance_factor = 1;
+  options.motion.min_residual_scale = 1;  // Schur's for a pixel, too
+  options.motion.sigma_rho_floor = options.motion.sigma_phi_floor = 0;
+  StereoOdometry schur(kSmallCamera, options);
+  options.covariance = MotionCovariance::kMonteCarlo;
+  StereoOdometry sampled(kSmallCamera, options), again(kSmallCamera, options);
+  for (int k = 0; k < 4; ++k) {
+    const OdometryStep a = schur.Track(Frame(k)), b = sampled.Track(Frame(k)), c = again.Track(Frame(k));
+    EXPECT_EQ(a.T_previous_current.Log(), b.T_previous_current.Log());
+    EXPECT_EQ(b.covariance, c.covariance) << "repeats bit by bit";
+    if (k == 0) continue;
+    ASSERT_EQ(b.status, TrackingStatus::kTracked);
+    // 100 samples: a standard deviation of 7 %; the robust weights of Schur's count far points less.
+    for (int axis = 0; axis < 6; ++axis) {
+      EXPECT_NEAR(std::sqrt(b.covariance(axis, axis) / a.covariance(axis, axis)), 1, 0.35) << k << ' ' << axis;
+    }
+    EXPECT_NE(a.covariance, b.covariance);
+  }
+  options.monte_carlo.samples = 7;
+  EXPECT_THROW(StereoOdometry(kSmallCamera, options), std::invalid_argument);
+}
+
 TEST(StereoOdometry, ARepeatedFrameIsNoMotionAndADroppedOneADoubleMotion) {
   const Drive run = TrackFrames(Frames({0, 1, 2, 3, 3, 4, 5, 7, 8}));
   for (size_t k = 1; k < run.steps.size(); ++k) EXPECT_EQ(run.steps[k].status, TrackingStatus::kTracked) << k;

@@ -25,6 +25,7 @@ struct KittiCommandOptions {
   std::string path, directory, thresholds, ground_truth, frames;
   Strategy strategy = Strategy::kFpfl;
   Search search = Search::kInformation;
+  MotionCovariance covariance = MotionCovariance::kSchur;
   bool quiet = false;
   LogSink log;
 };
@@ -71,6 +72,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
   how.truth = truth;
+  how.slam.odometry.covariance = how.slam.verifier.covariance = options.covariance;
   how.slam.log = options.log;
   LoopsFile loops(folder + "/loops.csv");
   how.after_step = [&](const StereoSlamStep& step) { loops.Add(step); };
@@ -133,6 +135,10 @@ void AddKittiCommand(CLI::App& app) {
             {{"information", Search::kInformation}, {"appearance", Search::kAppearance}, {"both", Search::kBoth}},
             "Where loop candidates come from: distance and information, or a vocabulary of visual words, which keeps "
             "all poses and verified loops; both: one after the other, and a comparison");
+  AddChoice(*command, "--covariance", options->covariance,
+            {{"schur", MotionCovariance::kSchur}, {"monte-carlo", MotionCovariance::kMonteCarlo}},
+            "Of measured motions, odometry and loops: from the residuals, calibrated; or the paper's, from 100 "
+            "estimates with noise of 1 pixel");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   AddVerboseOption(*command, options->log);
   command->footer(

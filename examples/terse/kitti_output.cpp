@@ -46,6 +46,10 @@ Json StagesToJson(const KittiTotals& t) {
   return json;
 }
 
+const char* Name(MotionCovariance covariance) {
+  return covariance == MotionCovariance::kSchur ? "schur" : "monte-carlo";
+}
+
 Json StatsToJson(const KittiRun& run, const KittiSequence& sequence, const std::optional<KittiErrors>& errors) {
   const KittiTotals& t = run.totals;
   const StereoSlam& slam = run.slam;
@@ -58,6 +62,7 @@ Json StatsToJson(const KittiRun& run, const KittiSequence& sequence, const std::
   }
   json["pair"] = sequence.Pair() == KittiPair::kGrey ? "grey" : "colour";
   json["strategy"] = Name(slam.Map().Options().strategy);
+  json["covariance"] = Name(slam.Options().odometry.covariance);
   json["fps"] = t.FramesPerSecond();
   json["seconds"] = t.seconds;
   json["milliseconds_per_frame"] = StagesToJson(t);

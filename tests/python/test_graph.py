@@ -1,4 +1,5 @@
 import copy
+import warnings
 
 import numpy as np
 import pytest
@@ -120,6 +121,31 @@ def test_components():
     graph.add_poses([500, 501])
     parts = graph.components()
     assert [len(part) for part in parts] == [40, 1, 1] and parts[1].tolist() == [500]
+
+
+def test_skipped_tags_are_told(tmp_path):
+    graph, truth = square()
+    graph.set_poses(truth)
+    path = tmp_path / "landmarks.g2o"
+    terse.write_graph(graph, path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        terse.read_graph(path)
+        with path.open("a") as file:
+            file.write("PARAMS_CAMERA 1 2 3\n")
+        terse.read_graph(path)
+    with path.open("a") as file:
+        file.write("VERTEX_XY 900 1 1\nFIX 900\n")
+    for read in (terse.read_graph, terse.read_graph_file):
+        with pytest.warns(UserWarning, match="landmarks.g2o: .*skipped: FIX of such vertices 1, VERTEX_XY 1") as told:
+            read(path)
+        assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserWarning):
+            terse.read_graph(path)
+        trajectory = terse.read_trajectory(path)
+    assert len(trajectory) == len(graph)
 
 
 def test_files(tmp_path):

@@ -42,6 +42,10 @@ struct LoopVerifierOptions {
   double disparity_sigma = 0.2;  // its standard deviation: by so much the calibration may be off
   InitialMotionOptions initial;
   StereoMotionOptions motion;
+  // Of loops that are verified; what decides on that is Schur's in any case. Where Monte Carlo gives none the other
+  // stands.
+  MotionCovariance covariance = MotionCovariance::kSchur;
+  MonteCarloOptions monte_carlo;
 
   LoopVerifierOptions();
 };

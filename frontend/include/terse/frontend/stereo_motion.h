@@ -78,4 +78,18 @@ std::optional<Matrix<6, 6>> MonteCarloCovariance(const StereoCamera& camera, con
                                                  const SE3& T_a_b, double sigma, int samples, std::uint64_t seed,
                                                  const StereoMotionOptions& options = {});
 
+// Where the covariance of a measured motion comes from. kSchur: StereoMotion::covariance. kMonteCarlo: the paper's.
+enum class MotionCovariance { kSchur, kMonteCarlo };
+
+struct MonteCarloOptions {
+  double sigma = 1;   // pixels
+  int samples = 100;  // a standard deviation is then known to 7 %
+};
+
+// The same of the inliers of a motion, by plain least squares: with noise of a pixel the bounds that tell outliers
+// would cut it off. Throws std::invalid_argument unless sigma is positive and there are 8 samples at least.
+std::optional<Matrix<6, 6>> MonteCarloCovariance(const StereoCamera& camera, const std::vector<StereoMatch>& matches,
+                                                 const StereoMotion& motion, const MonteCarloOptions& options,
+                                                 std::uint64_t seed);
+
 }  // namespace terse

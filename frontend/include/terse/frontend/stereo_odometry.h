@@ -38,6 +38,9 @@ struct StereoOdometryOptions {
   bool estimate_disparity_offset = true;
   double disparity_offset_sigma = 0.3;  // pixels, before the first frame
   StereoMotionOptions motion;
+  // Monte Carlo costs `samples` estimates of the motion per frame; where it gives none the other stands.
+  MotionCovariance covariance = MotionCovariance::kSchur;
+  MonteCarloOptions monte_carlo;
   // Standard deviations of a lost edge: a part of the motion, and at least so much.
   double lost_sigma_part = 0.5, lost_sigma_rho = 0.5, lost_sigma_phi = 0.05;  // 1, metres, radians
   LogSink log;                                                                // log.h

@@ -81,6 +81,7 @@ class StereoSlam {
 
   // Iterates the map to its optimum.
   BatchResult<SE3> Finish() { return map_.Finish(); }
+  const StereoSlamOptions& Options() const { return options_; }
   const CompactPoseSlam<SE3>& Map() const { return map_; }
   const LoopVerifier& Verifier() const { return verifier_; }
   // The odometry alone, all frames: T_first_frame.
