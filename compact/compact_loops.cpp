@@ -46,6 +46,7 @@ bool CompactPoseSlam<Pose>::TakeOffer(PoseId current, const RelativePoseFactor<P
   offer.kept = KeptBase(other);
   offer.carried_from = offer.kept != other ? std::optional<PoseId>(other) : std::nullopt;
   offer.T_kept_current = SeenFrom(offer.kept, offer.link);
+  offer.carried = offer.T_kept_current.covariance - SeenFrom(other, loop).covariance;
   return true;
 }
 
@@ -83,13 +84,12 @@ void CompactPoseSlam<Pose>::LogLink(PoseId a, PoseId b, const Candidate& record,
                 record.supported ? ", but other refused links agree)" : ")");
 }
 
-// The gain and innovation of a registered link between record.id and the pose at hand, or two poses seen before
-// (`current` absent); whether it is to be added. An outlier may be supported by other links of the pose at hand; if it
-// is not, it may support a later one.
+// Whether a registered link of the measured gain is to be added: between record.id and the pose at hand, or two poses
+// seen before (`current` absent). An outlier may be supported by other links of the pose at hand; if it is not, it may
+// support a later one.
 template <class Pose>
-bool CompactPoseSlam<Pose>::TryLink(const Current* current, const UncertainPose<Pose>& known,
-                                    const UncertainPose<Pose>& measured, Candidate& record) {
-  record.measured_gain = InformationGain<Pose::kDof>(known.covariance, measured.covariance);
+bool CompactPoseSlam<Pose>::PassesTests(const Current* current, const UncertainPose<Pose>& known,
+                                        const UncertainPose<Pose>& measured, Candidate& record) {
   if (options_.innovation_quantile) {
     record.innovation = InnovationDistance(known, measured);
     record.outlier = !(*record.innovation <= most_innovation_);
@@ -107,14 +107,18 @@ bool CompactPoseSlam<Pose>::Accept(Current& current, Evaluated& candidate, const
                                    Decision& decision) {
   Candidate& record = candidate.record;
   const UncertainPose<Pose>& known = candidate.T_pose_current;
-  const bool good = TryLink(&current, known, SeenFrom(record.id, link), record);
+  const Offer* offer = candidate.ask.offer >= 0 ? &current.offers[At(candidate.ask.offer)] : nullptr;
+  const UncertainPose<Pose> measured = SeenFrom(record.id, link);
+  record.measured_gain = offer == nullptr || !offer->carried_from
+                             ? InformationGain<Pose::kDof>(known.covariance, measured.covariance)
+                             : OfferGain(current, *offer, known, measured.covariance - offer->carried);
+  const bool good = PassesTests(&current, known, measured, record);
   LogLink(record.id, current.input->id, record, good);
   if (IsRefused(record)) ++decision.links_refused;
   if (!good) return false;
   record.accepted = true;
   ++decision.links_accepted;
   std::optional<Revival> revival;
-  const Offer* offer = candidate.ask.offer >= 0 ? &current.offers[At(candidate.ask.offer)] : nullptr;
   if (offer != nullptr && offer->carried_from && IsCostlyToCarry(*offer, known))
     revival = PlanRevival(*offer->carried_from);
   if (revival) {
@@ -279,7 +283,7 @@ bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>& failed, Pose
   template bool CompactPoseSlam<Pose>::AreNeighbours(const Pose&, const Pose&) const;                                  \
   template void CompactPoseSlam<Pose>::Search(Current&, Decision&, const Registration<Pose>&);                         \
   template void CompactPoseSlam<Pose>::LinkAll(Current&, Decision&, const Registration<Pose>&);                        \
-  template bool CompactPoseSlam<Pose>::TryLink(const Current*, const UncertainPose<Pose>&, const UncertainPose<Pose>&, \
+  template bool CompactPoseSlam<Pose>::PassesTests(const Current*, const UncertainPose<Pose>&, const UncertainPose<Pose>&, \
                                                Candidate&);                                                            \
   template void CompactPoseSlam<Pose>::LogLink(PoseId, PoseId, const Candidate&, bool) const;
 TERSE_INSTANTIATE(SE2)

@@ -360,7 +360,9 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
   LinkDecision decision;
   decision.from = carried.from;
   decision.to = carried.to;
-  decision.accepted = TryLink(nullptr, Between(carried.from, carried.to), SeenFrom(carried.from, carried), record);
+  const UncertainPose<Pose> known = Between(carried.from, carried.to), measured = SeenFrom(carried.from, carried);
+  record.measured_gain = InformationGain<Pose::kDof>(known.covariance, measured.covariance);
+  decision.accepted = PassesTests(nullptr, known, measured, record);
   LogLink(carried.from, carried.to, record, decision.accepted);
   decision.gain = *record.measured_gain;
   decision.innovation = record.innovation;

@@ -31,6 +31,7 @@ struct CompactPoseSlam<Pose>::Offer {
   UncertainPose<Pose> T_kept_current;  // the same
   PoseId kept;
   std::optional<PoseId> carried_from;
+  typename Pose::Jacobian carried;  // what the chain adds to the loop's own covariance
 };
 
 template <class Pose>

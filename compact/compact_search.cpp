@@ -104,6 +104,19 @@ std::vector<typename CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(
   return out;
 }
 
+// What a loop that came with the pose tells if measured with Sigma_link, nats. One that was carried counts only by what it tells of the map: a pose
+// that is lost little by little always learns from it where it is, and a map that kept every such pose would grow for ever.
+// About the kept poses the loop and the chain that the pose hangs on are one measurement, with the sum of their covariances.
+template <class Pose>
+double CompactPoseSlam<Pose>::OfferGain(const Current& current, const Offer& offer, const UncertainPose<Pose>& known,
+                                        const Jacobian& Sigma_link) const {
+  if (!offer.carried_from) return InformationGain<Pose::kDof>(known.covariance, Sigma_link);
+  const Jacobian Sigma_y = Sigma_link + offer.carried;
+  if (current.in_solver) return InformationGain<Pose::kDof>(known.covariance, Sigma_y);
+  const Jacobian of_map = known.covariance - current.T_base_current.covariance;
+  return InformationGain<Pose::kDof>(of_map, Sigma_y + current.T_base_current.covariance);
+}
+
 // What is known of the given kept poses, and what trying them promises. Of those that are to be registered only the
 // candidates come back: within range with enough probability, or plausibly so if that is enough.
 template <class Pose>
@@ -126,7 +139,7 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
       const Offer& offer = current.offers[At(ask.offer)];
       e.record.measured = true;
       e.record.carried_from = offer.carried_from;
-      e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, offer.T_kept_current.covariance);
+      e.record.gain = OfferGain(current, offer, e.T_pose_current, options_.link_covariance);
       e.worth = e.record.gain;
     } else {
       const bool is_candidate =
@@ -145,6 +158,8 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
   template void CompactPoseSlam<Pose>::UpdateCovariances();                                              \
   template UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int, int) const;                 \
   template void CompactPoseSlam<Pose>::UpdateSearch(int);                                                \
+  template double CompactPoseSlam<Pose>::OfferGain(const Current&, const Offer&, const UncertainPose<Pose>&, \
+                                                    const Jacobian&) const;                                   \
   template std::vector<CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(const Current&, bool); \
   template std::vector<CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(                \
       const Current&, const std::vector<Ask>&, bool) const;

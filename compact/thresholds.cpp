@@ -63,10 +63,11 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   out.pose_gain_90 = Percentile90(sample.pose_gains);
   const double loops = static_cast<double>(replay.LinksOffered()) / static_cast<double>(std::max(poses, 1L));
   const double most = kRareLoopGain + (kMostLoopGain - kRareLoopGain) * std::min(1.0, loops / kManyLoops);
-  out.min_loop_gain = std::clamp(Raise(out.loop_gain_90, 1.36), std::min(kLeastLoopGain, most) * Pose::kDof,
-                                 most * Pose::kDof);
+  const double usual =
+      std::clamp(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof, kMostLoopGain * Pose::kDof);
+  out.min_loop_gain = std::min(usual, most * Pose::kDof);
   out.min_pose_gain =
-      std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * out.min_loop_gain});
+      std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * usual});
   return out;
 }
 

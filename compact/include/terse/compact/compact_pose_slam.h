@@ -131,6 +131,7 @@ class CompactPoseSlam {
   int LinksKept() const { return static_cast<int>(links_.size()); }
 
  private:
+  using Jacobian = typename Pose::Jacobian;
   // Where a pose hangs: itself if kept (identity), else the kept pose before it.
   struct Seen {
     PoseId id, base;
@@ -181,8 +182,8 @@ class CompactPoseSlam {
   void CloseLoops(Current& current, std::vector<Evaluated> candidates, Decision& decision,
                   const Registration<Pose>& registration);
   void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
-  bool TryLink(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
-               Candidate& record);
+  bool PassesTests(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
+                   Candidate& record);
   bool Accept(Current& current, Evaluated& candidate, const RelativePoseFactor<Pose>& link, Decision& decision);
   bool IsCostlyToCarry(const Offer& offer, const UncertainPose<Pose>& known) const;
   std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
@@ -199,6 +200,8 @@ class CompactPoseSlam {
   void UpdateCovariances();
   void UpdateSearch(int base);
   UncertainPose<Pose> KnownDisplacement(int pose, int base) const;
+  double OfferGain(const Current& current, const Offer& offer, const UncertainPose<Pose>& known,
+                   const Jacobian& Sigma_link) const;
   std::vector<Ask> InReach(const Current& current, bool plausible);
   std::vector<Evaluated> Evaluate(const Current& current, const std::vector<Ask>& asks, bool plausible) const;
   // compact_recovery.cpp
