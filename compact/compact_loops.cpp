@@ -38,8 +38,9 @@ void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>
 
 // A loop at the kept pose that its other end hangs on. False if it overflows on its way there.
 template <class Pose>
-bool CompactPoseSlam<Pose>::TakeOffer(PoseId current, const RelativePoseFactor<Pose>& loop, Offer& offer) const {
-  const PoseId other = loop.from == current ? loop.to : loop.from;
+bool CompactPoseSlam<Pose>::TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop,
+                                      Offer& offer) const {
+  const PoseId other = loop.from == current.input->id ? loop.to : loop.from;
   offer.measured = loop;
   offer.link = CarryEndToKept(other, loop);
   if (!FindDefect<Pose>(offer.link).empty()) return false;
@@ -47,6 +48,11 @@ bool CompactPoseSlam<Pose>::TakeOffer(PoseId current, const RelativePoseFactor<P
   offer.carried_from = offer.kept != other ? std::optional<PoseId>(other) : std::nullopt;
   offer.T_kept_current = SeenFrom(offer.kept, offer.link);
   offer.carried = offer.T_kept_current.covariance - SeenFrom(other, loop).covariance;
+  offer.T_dropped_current.reset();
+  if (offer.carried_from && !current.in_solver && offer.kept == current.base && !Find(other).next_kept &&
+      IsPlainChain(other, current.previous, 0)) {
+    offer.T_dropped_current = Behind(Find(other).T_base_pose, current.T_base_current);
+  }
   return true;
 }
 
@@ -55,7 +61,7 @@ void CompactPoseSlam<Pose>::TakeOffers(Current& current) const {
   if (!current.input->loops) return;
   for (const RelativePoseFactor<Pose>& loop : *current.input->loops) {
     Offer offer;
-    if (TakeOffer(current.input->id, loop, offer)) current.offers.push_back(std::move(offer));
+    if (TakeOffer(current, loop, offer)) current.offers.push_back(std::move(offer));
   }
 }
 
@@ -108,6 +114,7 @@ bool CompactPoseSlam<Pose>::Accept(Current& current, Evaluated& candidate, const
   Candidate& record = candidate.record;
   const UncertainPose<Pose>& known = candidate.T_pose_current;
   const Offer* offer = candidate.ask.offer >= 0 ? &current.offers[At(candidate.ask.offer)] : nullptr;
+  if (offer != nullptr && offer->T_dropped_current) return AcceptOnChain(current, Offer(*offer), record, decision);
   const UncertainPose<Pose> measured = SeenFrom(record.id, link);
   record.measured_gain = offer == nullptr || !offer->carried_from
                              ? InformationGain<Pose::kDof>(known.covariance, measured.covariance)
@@ -129,6 +136,37 @@ bool CompactPoseSlam<Pose>::Accept(Current& current, Evaluated& candidate, const
   } else {
     record.factor = Keep(current, {link}).back();
   }
+  links_.back().gain = record.measured_gain;
+  return true;
+}
+
+// The same for a loop to a dropped pose of the pose's own chain: it tells of the chain between the two, so both are
+// kept.
+template <class Pose>
+bool CompactPoseSlam<Pose>::AcceptOnChain(Current& current, const Offer& offer, Candidate& record, Decision& decision) {
+  const PoseId dropped = *offer.carried_from;
+  const UncertainPose<Pose> measured = SeenFrom(dropped, offer.measured);
+  record.measured_gain = InformationGain<Pose::kDof>(offer.T_dropped_current->covariance, measured.covariance);
+  const bool good = PassesTests(nullptr, *offer.T_dropped_current, measured, record);
+  LogLink(dropped, current.input->id, record, good);
+  if (IsRefused(record)) ++decision.links_refused;
+  if (!good) return false;
+  const Revival revival = PlanRevivalOnChain(dropped, current);
+  const Current before = current;
+  current.base = dropped;
+  current.T_base_current = current.chain = *offer.T_dropped_current;
+  current.concatenated = history_[At(current.previous)].id != dropped;
+  try {
+    record.factor = Keep(current, {offer.measured}, &revival).back();
+  } catch (...) {
+    current = before;
+    throw;
+  }
+  record.accepted = true;
+  record.id = dropped;
+  record.carried_from.reset();
+  ++decision.links_accepted;
+  decision.revived.push_back(dropped);
   links_.back().gain = record.measured_gain;
   return true;
 }
@@ -196,7 +234,7 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated> 
       bool is_open = !e.record.tried && (e.ask.offer >= 0 || registration != nullptr);
       if (is_open && e.ask.offer >= 0 && !decision.revived.empty()) {
         Offer& offer = current.offers[At(e.ask.offer)];
-        is_open = TakeOffer(current.input->id, RelativePoseFactor<Pose>(offer.measured), offer);
+        is_open = TakeOffer(current, RelativePoseFactor<Pose>(offer.measured), offer);
         if (is_open) e.ask.pose = solver_->Graph().IndexOf(offer.kept);
       }
       if (is_open) {
@@ -269,22 +307,23 @@ bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>& failed, Pose
   });
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                        \
-  template void CompactPoseSlam<Pose>::TakeOffers(Current&) const;                                                     \
-  template bool CompactPoseSlam<Pose>::TakeOffer(PoseId, const RelativePoseFactor<Pose>&, Offer&) const;               \
-  template bool CompactPoseSlam<Pose>::IsCostlyToCarry(const Offer&, const UncertainPose<Pose>&) const;                \
-  template std::optional<RelativePoseFactor<Pose>> CompactPoseSlam<Pose>::Register(const Registration<Pose>&, PoseId,  \
-                                                                                   PoseId) const;                      \
-  template bool CompactPoseSlam<Pose>::Accept(Current&, Evaluated&, const RelativePoseFactor<Pose>&, Decision&);       \
-  template void CompactPoseSlam<Pose>::CloseLoops(Current&, std::vector<Evaluated>, Decision&,                         \
-                                                  const Registration<Pose>&);                                          \
-  template std::vector<CompactPoseSlam<Pose>::Failed> CompactPoseSlam<Pose>::FailedNear(const Current&) const;         \
-  template bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>&, PoseId) const;                         \
-  template bool CompactPoseSlam<Pose>::AreNeighbours(const Pose&, const Pose&) const;                                  \
-  template void CompactPoseSlam<Pose>::Search(Current&, Decision&, const Registration<Pose>&);                         \
-  template void CompactPoseSlam<Pose>::LinkAll(Current&, Decision&, const Registration<Pose>&);                        \
-  template bool CompactPoseSlam<Pose>::PassesTests(const Current*, const UncertainPose<Pose>&, const UncertainPose<Pose>&, \
-                                               Candidate&);                                                            \
+#define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template void CompactPoseSlam<Pose>::TakeOffers(Current&) const;                                                    \
+  template bool CompactPoseSlam<Pose>::TakeOffer(const Current&, const RelativePoseFactor<Pose>&, Offer&) const;      \
+  template bool CompactPoseSlam<Pose>::AcceptOnChain(Current&, const Offer&, Candidate&, Decision&);                  \
+  template bool CompactPoseSlam<Pose>::IsCostlyToCarry(const Offer&, const UncertainPose<Pose>&) const;               \
+  template std::optional<RelativePoseFactor<Pose>> CompactPoseSlam<Pose>::Register(const Registration<Pose>&, PoseId, \
+                                                                                   PoseId) const;                     \
+  template bool CompactPoseSlam<Pose>::Accept(Current&, Evaluated&, const RelativePoseFactor<Pose>&, Decision&);      \
+  template void CompactPoseSlam<Pose>::CloseLoops(Current&, std::vector<Evaluated>, Decision&,                        \
+                                                  const Registration<Pose>&);                                         \
+  template std::vector<CompactPoseSlam<Pose>::Failed> CompactPoseSlam<Pose>::FailedNear(const Current&) const;        \
+  template bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>&, PoseId) const;                        \
+  template bool CompactPoseSlam<Pose>::AreNeighbours(const Pose&, const Pose&) const;                                 \
+  template void CompactPoseSlam<Pose>::Search(Current&, Decision&, const Registration<Pose>&);                        \
+  template void CompactPoseSlam<Pose>::LinkAll(Current&, Decision&, const Registration<Pose>&);                       \
+  template bool CompactPoseSlam<Pose>::PassesTests(const Current*, const UncertainPose<Pose>&,                        \
+                                                   const UncertainPose<Pose>&, Candidate&);                           \
   template void CompactPoseSlam<Pose>::LogLink(PoseId, PoseId, const Candidate&, bool) const;
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -25,6 +25,24 @@ UncertainPose<Pose> CompactPoseSlam<Pose>::Between(PoseId a, PoseId b) const {
   return {solver_->Estimate(a).Inverse() * solver_->Estimate(b), marginals_->Relative(a, b)};
 }
 
+// From a pose seen before to the one at hand, along its chain or through the map, whichever knows more.
+template <class Pose>
+UncertainPose<Pose> CompactPoseSlam<Pose>::FromSeen(PoseId id, const Current& current) const {
+  const Seen& seen = Find(id);
+  if (!seen.kept && !seen.next_kept && seen.base == current.base) {
+    // Both hang on one chain: what lies before the older one is no error between them.
+    if (const auto behind = Behind(seen.T_base_pose, current.T_base_current)) return *behind;
+  }
+  UncertainPose<Pose> best = Compose(Invert(seen.T_base_pose), Between(seen.base, current.base));
+  if (!seen.kept && seen.next_kept) {
+    if (const auto behind = Behind(seen.T_base_pose, seen.T_base_next)) {
+      const UncertainPose<Pose> through_next = Compose(*behind, Between(*seen.next_kept, current.base));
+      if (through_next.covariance.determinant() < best.covariance.determinant()) best = through_next;
+    }
+  }
+  return Compose(best, current.T_base_current);
+}
+
 // Whether enough refused links of other poses predict this one of the pose at hand.
 template <class Pose>
 bool CompactPoseSlam<Pose>::IsSupported(const Current& current, PoseId candidate,
@@ -32,11 +50,8 @@ bool CompactPoseSlam<Pose>::IsSupported(const Current& current, PoseId candidate
   std::set<PoseId> supporters;
   for (auto it = refused_.rbegin(); it != refused_.rend(); ++it) {
     if (it->seen == current.input->id || supporters.count(it->seen) != 0) continue;
-    const Seen& seen = Find(it->seen);
     const UncertainPose<Pose> T_candidate_seen = Compose(Between(candidate, it->candidate), it->T_candidate_seen);
-    const UncertainPose<Pose> T_seen_current =
-        Compose(Invert(seen.T_base_pose), Compose(Between(seen.base, current.base), current.T_base_current));
-    const UncertainPose<Pose> predicted = Compose(T_candidate_seen, T_seen_current);
+    const UncertainPose<Pose> predicted = Compose(T_candidate_seen, FromSeen(it->seen, current));
     const double vagueness = InformationGain<Pose::kDof>(predicted.covariance, measured.covariance);
     if (vagueness > kMostVagueness * Pose::kDof) continue;
     if (InnovationDistance(predicted, measured) > most_innovation_) continue;
@@ -55,6 +70,7 @@ void CompactPoseSlam<Pose>::RememberRefused(const Current& current, PoseId candi
 
 #define TERSE_INSTANTIATE(Pose)                                                                               \
   template UncertainPose<Pose> CompactPoseSlam<Pose>::Between(PoseId, PoseId) const;                          \
+  template UncertainPose<Pose> CompactPoseSlam<Pose>::FromSeen(PoseId, const Current&) const;                 \
   template bool CompactPoseSlam<Pose>::IsSupported(const Current&, PoseId, const UncertainPose<Pose>&) const; \
   template void CompactPoseSlam<Pose>::RememberRefused(const Current&, PoseId, const UncertainPose<Pose>&);
 TERSE_INSTANTIATE(SE2)

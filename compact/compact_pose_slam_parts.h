@@ -14,14 +14,23 @@ template <class Pose>
 RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to,
                                      CompositionOrder order);
 
+// The chain from `middle` on, of one from `start` through `middle`, by subtraction of covariances. Absent where nothing
+// but rounding is left.
+template <class Pose>
+std::optional<UncertainPose<Pose>> Behind(const UncertainPose<Pose>& T_start_middle,
+                                          const UncertainPose<Pose>& T_start_end);
+
 // Refused for its innovation, and no others agree with it.
 inline bool IsRefused(const Candidate& link) { return link.outlier && !link.supported; }
 
+// Between two kept poses, or, where the chain has not ended yet, on that of the pose at hand.
 template <class Pose>
 struct CompactPoseSlam<Pose>::Revival {
-  PoseId pose, base, next;
+  PoseId pose, base;
   UncertainPose<Pose> T_base_pose, T_pose_next;
+  std::optional<PoseId> next;
   FactorId replaced;  // from base to next
+  int newest = -1;    // the last pose of the chain, in history_
 };
 
 template <class Pose>
@@ -32,6 +41,8 @@ struct CompactPoseSlam<Pose>::Offer {
   PoseId kept;
   std::optional<PoseId> carried_from;
   typename Pose::Jacobian carried;  // what the chain adds to the loop's own covariance
+  // From the dropped pose, if the pose at hand hangs on the same chain behind it.
+  std::optional<UncertainPose<Pose>> T_dropped_current;
 };
 
 template <class Pose>

@@ -14,7 +14,8 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
-// The chain from `middle` on, of one from `start` through `middle`. Absent where nothing but rounding is left.
+}  // namespace
+
 template <class Pose>
 std::optional<UncertainPose<Pose>> Behind(const UncertainPose<Pose>& T_start_middle,
                                           const UncertainPose<Pose>& T_start_end) {
@@ -36,10 +37,26 @@ std::optional<UncertainPose<Pose>> Behind(const UncertainPose<Pose>& T_start_mid
   return out;
 }
 
-}  // namespace
+// Whether a chain leads from a dropped pose to `newest`, in history_, and nothing else hangs on it: other odometry that
+// starts from there hangs on the base too.
+template <class Pose>
+bool CompactPoseSlam<Pose>::IsPlainChain(PoseId dropped, int newest, int successors_of_newest) const {
+  for (int k = newest; k >= 0 && !history_[At(k)].kept; k = history_[At(k)].previous) {
+    if (history_[At(k)].successors > (k == newest ? successors_of_newest : 1)) return false;
+    if (history_[At(k)].id == dropped) return true;
+  }
+  return false;
+}
 
-// Absent for a pose that is kept, whose chain has not ended at a kept pose, or cannot be split: where other odometry
-// starts from the part behind the pose, that hangs on the base too.
+// Of a pose on the chain of the pose at hand.
+template <class Pose>
+typename CompactPoseSlam<Pose>::Revival CompactPoseSlam<Pose>::PlanRevivalOnChain(PoseId dropped,
+                                                                                  const Current& current) const {
+  const Seen& seen = Find(dropped);
+  return {dropped, seen.base, seen.T_base_pose, {}, std::nullopt, {}, current.previous};
+}
+
+// Absent for a pose that is kept, whose chain has not ended at a kept pose, or cannot be split.
 template <class Pose>
 std::optional<typename CompactPoseSlam<Pose>::Revival> CompactPoseSlam<Pose>::PlanRevival(PoseId dropped) const {
   const Seen& seen = Find(dropped);
@@ -51,19 +68,17 @@ std::optional<typename CompactPoseSlam<Pose>::Revival> CompactPoseSlam<Pose>::Pl
   const FactorPoses ends = PosesOf(node->factor);
   const bool joins = (ends.first == seen.base && ends.second == *seen.next_kept) ||
                      (ends.second == seen.base && ends.first == *seen.next_kept);
-  if (!joins) return std::nullopt;
-  for (int k = Find(*seen.next_kept).previous;; k = history_[At(k)].previous) {
-    if (k < 0 || history_[At(k)].kept || history_[At(k)].successors > 1) return std::nullopt;
-    if (history_[At(k)].id == dropped) break;
-  }
-  return Revival{dropped, seen.base, *seen.next_kept, seen.T_base_pose, *behind, edge};
+  const int newest = Find(*seen.next_kept).previous;
+  if (!joins || !IsPlainChain(dropped, newest, 1)) return std::nullopt;
+  return Revival{dropped, seen.base, seen.T_base_pose, *behind, seen.next_kept, edge, newest};
 }
 
 template <class Pose>
 void CompactPoseSlam<Pose>::AddRevival(const Revival& revival, GraphUpdate<Pose>& update) const {
   update.poses.push_back({revival.pose, Estimate(revival.pose), false});
   update.factors.push_back(Measurement(revival.base, revival.pose, revival.T_base_pose, options_.composition));
-  update.factors.push_back(Measurement(revival.pose, revival.next, revival.T_pose_next, options_.composition));
+  if (!revival.next) return;
+  update.factors.push_back(Measurement(revival.pose, *revival.next, revival.T_pose_next, options_.composition));
   update.removed.push_back(revival.replaced);
 }
 
@@ -71,16 +86,15 @@ void CompactPoseSlam<Pose>::AddRevival(const Revival& revival, GraphUpdate<Pose>
 template <class Pose>
 void CompactPoseSlam<Pose>::Revive(const Revival& revival, const std::vector<FactorId>& ids) {
   Seen& pose = history_[At(index_.at(revival.pose.value))];
-  Seen& next = history_[At(index_.at(revival.next.value))];
-  next.odometry = ids[1];
-  for (int k = next.previous; history_[At(k)].id != revival.pose; k = history_[At(k)].previous) {
+  if (revival.next) history_[At(index_.at(revival.next->value))].odometry = ids[1];
+  for (int k = revival.newest; history_[At(k)].id != revival.pose; k = history_[At(k)].previous) {
     Seen& seen = history_[At(k)];
     const auto behind = Behind(revival.T_base_pose, seen.T_base_pose);
     const Pose T_pose_seen = revival.T_base_pose.T_a_b.Inverse() * seen.T_base_pose.T_a_b;
     seen.base = revival.pose;
     // Where only rounding is left, the two are one.
     seen.T_base_pose = behind.value_or(UncertainPose<Pose>{T_pose_seen});
-    seen.T_base_next = revival.T_pose_next;
+    if (revival.next) seen.T_base_next = revival.T_pose_next;
   }
   for (int k = pose.previous; !history_[At(k)].kept; k = history_[At(k)].previous) {
     Seen& seen = history_[At(k)];
@@ -96,9 +110,12 @@ void CompactPoseSlam<Pose>::Revive(const Revival& revival, const std::vector<Fac
   pose.odometry = ids[0];
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                            \
-  template std::optional<CompactPoseSlam<Pose>::Revival> CompactPoseSlam<Pose>::PlanRevival(PoseId) const; \
-  template void CompactPoseSlam<Pose>::AddRevival(const Revival&, GraphUpdate<Pose>&) const;               \
+#define TERSE_INSTANTIATE(Pose)                                                                                     \
+  template std::optional<UncertainPose<Pose>> Behind<Pose>(const UncertainPose<Pose>&, const UncertainPose<Pose>&); \
+  template std::optional<CompactPoseSlam<Pose>::Revival> CompactPoseSlam<Pose>::PlanRevival(PoseId) const;          \
+  template bool CompactPoseSlam<Pose>::IsPlainChain(PoseId, int, int) const;                                        \
+  template CompactPoseSlam<Pose>::Revival CompactPoseSlam<Pose>::PlanRevivalOnChain(PoseId, const Current&) const;  \
+  template void CompactPoseSlam<Pose>::AddRevival(const Revival&, GraphUpdate<Pose>&) const;                        \
   template void CompactPoseSlam<Pose>::Revive(const Revival&, const std::vector<FactorId>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -104,12 +104,16 @@ std::vector<typename CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(
   return out;
 }
 
-// What a loop that came with the pose tells if measured with Sigma_link, nats. One that was carried counts only by what it tells of the map: a pose
-// that is lost little by little always learns from it where it is, and a map that kept every such pose would grow for ever.
-// About the kept poses the loop and the chain that the pose hangs on are one measurement, with the sum of their covariances.
+// What a loop that came with the pose tells if measured with Sigma_link, nats. One that was carried counts only by what
+// it tells of the map: a pose that is lost little by little always learns from it where it is, and a map that kept
+// every such pose would grow for ever. About the kept poses the loop and the chain that the pose hangs on are one
+// measurement, with the sum of their covariances.
 template <class Pose>
 double CompactPoseSlam<Pose>::OfferGain(const Current& current, const Offer& offer, const UncertainPose<Pose>& known,
                                         const Jacobian& Sigma_link) const {
+  if (offer.T_dropped_current) {
+    return InformationGain<Pose::kDof>(offer.T_dropped_current->covariance, Sigma_link);
+  }
   if (!offer.carried_from) return InformationGain<Pose::kDof>(known.covariance, Sigma_link);
   const Jacobian Sigma_y = Sigma_link + offer.carried;
   if (current.in_solver) return InformationGain<Pose::kDof>(known.covariance, Sigma_y);
@@ -129,17 +133,17 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
   for (const Ask& ask : asks) {
     Evaluated e;
     e.ask = ask;
+    const Offer* offer = ask.offer >= 0 ? &current.offers[At(ask.offer)] : nullptr;
     e.T_pose_current =
         Compose(is_ready ? T_pose_base_[At(ask.pose)] : KnownDisplacement(ask.pose, base), current.T_base_current);
     const auto displacement = ComputeDisplacement<Pose>(e.T_pose_current, options_.distance);
     const auto within = RangeProbabilities<Pose>(displacement, options_.range);
     e.record.probability = within.minCoeff();
     e.record.id = solver_->Graph().Poses()[At(ask.pose)].id;
-    if (ask.offer >= 0) {
-      const Offer& offer = current.offers[At(ask.offer)];
+    if (offer != nullptr) {
       e.record.measured = true;
-      e.record.carried_from = offer.carried_from;
-      e.record.gain = OfferGain(current, offer, e.T_pose_current, options_.link_covariance);
+      e.record.carried_from = offer->carried_from;
+      e.record.gain = OfferGain(current, *offer, e.T_pose_current, options_.link_covariance);
       e.worth = e.record.gain;
     } else {
       const bool is_candidate =
@@ -154,14 +158,14 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
   return out;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                          \
-  template void CompactPoseSlam<Pose>::UpdateCovariances();                                              \
-  template UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int, int) const;                 \
-  template void CompactPoseSlam<Pose>::UpdateSearch(int);                                                \
+#define TERSE_INSTANTIATE(Pose)                                                                              \
+  template void CompactPoseSlam<Pose>::UpdateCovariances();                                                  \
+  template UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int, int) const;                     \
+  template void CompactPoseSlam<Pose>::UpdateSearch(int);                                                    \
   template double CompactPoseSlam<Pose>::OfferGain(const Current&, const Offer&, const UncertainPose<Pose>&, \
-                                                    const Jacobian&) const;                                   \
-  template std::vector<CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(const Current&, bool); \
-  template std::vector<CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(                \
+                                                   const Jacobian&) const;                                   \
+  template std::vector<CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(const Current&, bool);     \
+  template std::vector<CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Evaluate(                    \
       const Current&, const std::vector<Ask>&, bool) const;
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -44,7 +44,8 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
   archive.Each(history, [&](Seen& seen) {
     auto& [id, base, T_base_pose, T_world_body_when_seen, previous, successors, kept, next_kept, T_base_next,
            odometry] = seen;
-    archive(id, base, T_base_pose, T_world_body_when_seen, previous, successors, kept, next_kept, T_base_next, odometry);
+    archive(id, base, T_base_pose, T_world_body_when_seen, previous, successors, kept, next_kept, T_base_next,
+            odometry);
   });
   archive.Each(refused, [&](Refused& link) {
     auto& [candidate, seen, T_candidate_seen] = link;

@@ -12,7 +12,7 @@ namespace {
 
 // Per degree of freedom; thresholds.h says why.
 constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.9;
-constexpr double kRareLoopGain = 0.1, kManyLoops = 0.5;
+constexpr double kRareLoopGain = 0.02, kManyLoops = 0.5;
 constexpr double kPoseToLoop = 0.9;
 
 double Raise(double gain, double power) { return std::exp(power * std::log(gain + 1)) - 1; }
@@ -66,8 +66,7 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   const double usual =
       std::clamp(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof, kMostLoopGain * Pose::kDof);
   out.min_loop_gain = std::min(usual, most * Pose::kDof);
-  out.min_pose_gain =
-      std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * usual});
+  out.min_pose_gain = std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * usual});
   return out;
 }
 

@@ -137,7 +137,7 @@ class CompactPoseSlam {
     PoseId id, base;
     UncertainPose<Pose> T_base_pose;
     Pose T_world_body_when_seen;
-    int previous = -1;  // the pose its odometry comes from, in history_
+    int previous = -1;   // the pose its odometry comes from, in history_
     int successors = 0;  // poses whose odometry comes from it
     bool kept = true;
     // A dropped pose's chain as it ends at the next kept pose.
@@ -177,7 +177,7 @@ class CompactPoseSlam {
   RelativePoseFactor<Pose> Carry(const RelativePoseFactor<Pose>& link, const Seen* from, const Seen* to) const;
   // compact_loops.cpp
   void TakeOffers(Current& current) const;
-  bool TakeOffer(PoseId current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
+  bool TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
   void Search(Current& current, Decision& decision, const Registration<Pose>& registration);
   void CloseLoops(Current& current, std::vector<Evaluated> candidates, Decision& decision,
                   const Registration<Pose>& registration);
@@ -185,6 +185,7 @@ class CompactPoseSlam {
   bool PassesTests(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
                    Candidate& record);
   bool Accept(Current& current, Evaluated& candidate, const RelativePoseFactor<Pose>& link, Decision& decision);
+  bool AcceptOnChain(Current& current, const Offer& offer, Candidate& record, Decision& decision);
   bool IsCostlyToCarry(const Offer& offer, const UncertainPose<Pose>& known) const;
   std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
                                                    PoseId current) const;
@@ -193,7 +194,9 @@ class CompactPoseSlam {
   bool IsNearFailed(const std::vector<Failed>& failed, PoseId candidate) const;
   bool AreNeighbours(const Pose& T_world_a, const Pose& T_world_b) const;
   // compact_revival.cpp
+  bool IsPlainChain(PoseId dropped, int newest, int successors_of_newest) const;
   std::optional<Revival> PlanRevival(PoseId dropped) const;
+  Revival PlanRevivalOnChain(PoseId dropped, const Current& current) const;
   void AddRevival(const Revival& revival, GraphUpdate<Pose>& update) const;
   void Revive(const Revival& revival, const std::vector<FactorId>& ids);
   // compact_search.cpp
@@ -218,6 +221,7 @@ class CompactPoseSlam {
   void TakeHistory(const CompactMap<Pose>& map);
   // compact_outliers.cpp
   UncertainPose<Pose> Between(PoseId a, PoseId b) const;
+  UncertainPose<Pose> FromSeen(PoseId id, const Current& current) const;
   bool IsSupported(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured) const;
   void RememberRefused(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured);
   // compact_state.cpp

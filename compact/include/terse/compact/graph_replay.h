@@ -33,8 +33,8 @@ class GraphReplay {
 
   // A sensor range that covers the links (the odometry, if there are no links): 1.5 times the longest one's length in
   // each direction, the largest angle but at least one radian. Of every hundred links the longest does not count, nor
-  // does the one of the largest angle: it may be absurd. Where there are fewer links than one per hundred poses the range
-  // is at least five mean steps of the odometry: the links happen to be short.
+  // does the one of the largest angle: it may be absurd. Where there are fewer links than one per hundred poses the
+  // range is at least five mean steps of the odometry: the links happen to be short.
   Vector<Displacement<Pose>::kSize> LinkRange(const DistanceOptions& options = {}) const;
   // Mean covariance of the links (of the odometry, if there are none).
   typename Pose::Jacobian LinkCovariance() const;

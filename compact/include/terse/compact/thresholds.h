@@ -37,7 +37,7 @@ struct SampleOptions {
 // min_loop_gain: exp(1.36 ln(l90 + 1)) - 1, l90 being the 90th percentile of the links' gains as Algorithm 1 would add
 // them, best first and the rest evaluated again after each; between 1/2 and 1.5 nats per degree of freedom, where there
 // is a loop at every second pose or more. Where loops are rare each costs the map next to nothing and may be all that
-// there is about a part of it: the upper bound falls to 0.1 nat with the loops per pose.
+// there is about a part of it: the upper bound falls to 0.02 nats with the loops per pose.
 // min_pose_gain: exp(1.7 ln(p90 + 1)) - 1, p90 being the percentile of the least gain per pose among its link to the
 // pose before and the loops it has; at least 0.9 nat per degree of freedom, about what a registration tells of a
 // displacement known half as well (in standard deviations) as it measures, and 0.9 of what min_loop_gain
