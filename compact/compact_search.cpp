@@ -30,6 +30,8 @@ void CompactPoseSlam<Pose>::UpdateSearch(int base) {
     column = marginals_->Column(ids[At(base)], ids);
   }
   const Pose T_world_base = solver_->EstimateAt(base);
+  // The covariances belong together where the factor is linearised.
+  const std::vector<Pose>& points = solver_->LinearizationPoints();
   std::vector<typename PoseIndex<Pose>::Item> items;
   items.reserve(At(poses));
   T_pose_base_.resize(At(poses));
@@ -40,8 +42,9 @@ void CompactPoseSlam<Pose>::UpdateSearch(int base) {
     if (i != base) {
       displacement.T_a_b = T_world_pose.Inverse() * T_world_base;
       const Jacobian cross = column.empty() ? marginals_->KeptCross(i) : column[At(i)];
-      displacement.covariance =
-          RelativeCovariance<Pose>(displacement.T_a_b, marginal[At(i)], cross, marginal[At(base)]);
+      const Pose T_point = points[At(i)].Inverse() * points[At(base)];
+      displacement.covariance = MoveCovariance<Pose>(
+          RelativeCovariance<Pose>(T_point, marginal[At(i)], cross, marginal[At(base)]), T_point, displacement.T_a_b);
     }
     items.push_back({T_world_pose.Translation(), Spread::Of<Pose>(displacement.covariance)});
   }

@@ -46,23 +46,30 @@ class Problem {
     }
     for (const auto& prior : fixed_) Add(&prior);
     if (robust != nullptr && robust->robust.kernel != RobustKernel::kNone) MakeRobust(*robust);
-    anchor_ = Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph)));
   }
   Problem(const Problem&) = delete;
   Problem& operator=(const Problem&) = delete;
 
   typename BlockCholesky<B>::Changes Everything(const std::vector<Pose>& values) {
     Populate();
+    if (!has_gauge_) SetGauge(FindGauge(graph_, values));
     typename BlockCholesky<B>::Changes all;
     all.new_variables = static_cast<int>(graph_.Poses().size());
     all.added = LinearizeTerms(values);
-    all.added.push_back(anchor_);
     return all;
   }
 
-  // In the order of Everything() on an empty factor: slots 0, 1, ...
+  // What the anchor holds depends on where the poses are; it stays until it is set anew.
+  const Gauge<Pose>& CurrentGauge() const { return gauge_; }
+  void SetGauge(const Gauge<Pose>& gauge) {
+    gauge_ = gauge;
+    has_gauge_ = true;
+  }
+
+  // In the order of Everything() on an empty factor: slots 0, 1, ..., the anchor last.
   std::vector<LinearFactor<B>> LinearizeTerms(const std::vector<Pose>& values) const {
-    std::vector<LinearFactor<B>> out(present_.size());
+    std::vector<LinearFactor<B>> out(present_.size() + 1);
+    out.back() = Anchor(gauge_);
     internal::SpreadChunks(threads_, present_.size(), kChunk, [&](size_t begin, size_t end) {
       for (size_t k = begin; k < end; ++k) out[k] = LinearizeTerm(present_[k], values);
     });
@@ -200,7 +207,8 @@ class Problem {
   std::vector<size_t> present_;  // terms in the factor, ascending
   size_t counted_ = 0;           // terms that make up chi2
   std::vector<Factor<Pose>> fixed_;
-  LinearFactor<B> anchor_;
+  Gauge<Pose> gauge_;
+  bool has_gauge_ = false;
   // Of a robust run; else empty.
   RobustKernel kernel_ = RobustKernel::kNone;
   double width_ = 0;
@@ -371,8 +379,23 @@ class Run {
   }
   bool MayGoOn() const { return !singular_ && result_.termination != Termination::kStopped; }
 
+  // What the priors determine where the poses came to lie is theirs to say: the anchor holds it no more.
+  void UpdateGauge() {
+    const Gauge<Pose> found = FindGauge(graph_, result_.T_world_body);
+    if (found.root == problem_.CurrentGauge().root) return;
+    const Gauge<Pose> before = problem_.CurrentGauge();
+    problem_.SetGauge(found);
+    linearised_here_ = factored_here_ = false;
+    const bool lets_go = found.free_shifts < before.free_shifts || found.free_turns < before.free_turns;
+    if (!lets_go || !result_.Converged() || result_.iterations >= options_.max_iterations) return;
+    Log(options_.log, LogLevel::kInfo, "batch: the priors determine more of the frame than at the start, going on");
+    done_ = false;
+    Descend(options_.max_iterations - result_.iterations);
+  }
+
   void Iterate() {
     Descend(options_.max_iterations);
+    UpdateGauge();
     // The factor that is handed out is the undamped one at the final values.
     if (!factored_here_) factored_here_ = RefactorAt(0);
     result_.gradient_norm = LargestEntry(result_.factor.Gradient());

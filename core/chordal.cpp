@@ -142,7 +142,7 @@ void SolveRotations(const PoseGraph<Pose>& graph, int first, const Pose& T_world
 }
 
 // With the rotations as they are, every residual is linear in the translations; so this is the minimum of chi2.
-// The relative residual depends on t_to - t_from only.
+// The relative residual depends on t_to - t_from only, a position prior's with its lever arm turned.
 template <class Pose>
 void SolveTranslations(const PoseGraph<Pose>& graph, bool use_position_priors, int first, const Pose& T_world_first,
                        std::vector<Pose>& values) {
@@ -185,7 +185,7 @@ void SolveTranslations(const PoseGraph<Pose>& graph, bool use_position_priors, i
     } else if (use_position_priors) {
       const auto& q = std::get<PositionPriorFactor<Pose>>(node.factor);
       const int i = graph.IndexOf(q.pose);
-      add_prior(i, EvaluatePosition(q.p_world, value(i)), q.information);
+      add_prior(i, EvaluatePosition(q, value(i)), q.information);
     }
   }
   const Dense t = equations.Solve();
@@ -225,7 +225,7 @@ std::optional<Pose> AlignToPositionPriors(const PoseGraph<Pose>& graph, const st
   for (const auto& node : graph.Factors()) {
     const auto* f = std::get_if<PositionPriorFactor<Pose>>(&node.factor);
     if (f == nullptr) continue;
-    pairs.emplace_back(T_old_body[static_cast<std::size_t>(graph.IndexOf(f->pose))].Translation(), f->p_world);
+    pairs.emplace_back(T_old_body[static_cast<std::size_t>(graph.IndexOf(f->pose))] * f->p_body, f->p_world);
     mean_old += pairs.back().first;
     mean_new += pairs.back().second;
   }

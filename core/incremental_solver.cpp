@@ -49,6 +49,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   {
     ScopedTimer timer(seconds_.linearise);
     PlanNewPoses(update, plan);
+    PlanFrame(update, plan);
     PlanFactors(update, plan);
     PlanAnchor(update, plan);
   }
@@ -114,6 +115,7 @@ void IncrementalSolver<Pose>::AddToFactor(const GraphUpdate<Pose>& update, Plan&
   for (const auto& change : plan.changes.replaced) ChangeCosts(change.second, 1);
   for (const auto& factor : plan.changes.added) ChangeCosts(factor, 1);
   Commit(update, plan, report, factored.added_slots);
+  if (!plan.moved_points.empty()) RecountCosts();  // the offsets are gone
 }
 
 // Of the system that the update would have made.
@@ -128,7 +130,7 @@ void IncrementalSolver<Pose>::ThrowSingularUpdate(const GraphUpdate<Pose>& updat
   for (const auto& [slot, factor] : plan.changes.replaced) old[slot] = factor;
   std::vector<LinearFactor<B>> system = plan.changes.added;
   for (const auto& [slot, factor] : old) system.push_back(factor);
-  std::vector<Pose> values = linearization_points_;
+  std::vector<Pose> values = plan.moved_points.empty() ? linearization_points_ : plan.moved_points;
   values.insert(values.end(), plan.new_values.begin(), plan.new_values.end());
   std::vector<PoseId> ids;
   for (const auto& node : graph_.Poses()) ids.push_back(node.id);
@@ -196,13 +198,18 @@ BatchResult<Pose> IncrementalSolver<Pose>::FinishFrom(const std::vector<Pose>& T
   if (result.termination == Termination::kNotPositiveDefinite) return result;
   if (IsRobust()) TakeWeights(result.weights);
   // The factor of this solver moves to the optimum too: every linearisation point changes.
+  Gauge<Pose> gauge = gauge_;
+  if (!options_.anchor_information) gauge = FindGauge(graph_, result.T_world_body);
   typename BlockCholesky<B>::Changes changes;
   const auto point = [&](int v) -> const Pose& { return result.T_world_body[At(v)]; };
   for (int slot = 0; slot < static_cast<int>(factor_of_slot_.size()); ++slot) {
-    if (factor_.FactorAt(slot).first >= 0) changes.replaced.emplace_back(slot, LinearizeSlot(slot, point));
+    if (factor_.FactorAt(slot).first < 0) continue;
+    changes.replaced.emplace_back(slot, slot == anchor_slot_ ? Anchor(gauge) : LinearizeSlot(slot, point));
   }
   if (!factor_.Update(std::move(changes)).ok) throw NumericalError("the system is singular at the optimum");
   linearization_points_ = result.T_world_body;
+  gauge_ = gauge;
+  gauge_found_at_ = absolute_.Count();
   for (int v = 0; v < factor_.Variables(); ++v) factor_.ClearSolution(v);
   RecountCosts();
   ForgetErrors();

@@ -189,6 +189,8 @@ void RunOn(const PoseGraph<Pose>& graph, const Before<Pose>& before, const Compa
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
   if (!options.quiet) PrintSummary(stats, options);
+  const std::string undetermined = run.slam.Solver().DescribeUndetermined();
+  if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
   WriteReport({options.directory}, options.directory + "/report.html");
 }
 

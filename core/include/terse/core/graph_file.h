@@ -36,7 +36,8 @@ struct GraphFile {
 // Poses appear in the order of their VERTEX lines, then of their first mention in an edge; factors in that of the file.
 //
 // g2o: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX, EDGE_PRIOR_SE2, EDGE_PRIOR_SE2_XY, EDGE_SE3_PRIOR
-// (with the identity for its sensor offset) and our own EDGE_PRIOR_SE3_XYZ (id x y z, upper triangle of 3x3).
+// (with the identity for its sensor offset) and our own EDGE_PRIOR_SE3_XYZ (id x y z, upper triangle of 3x3). With a
+// lever arm, a position prior is EDGE_PRIOR_SE2_XY_LEVER or EDGE_PRIOR_SE3_XYZ_LEVER, our own too: px py [pz] behind.
 // TORO: VERTEX2, EDGE2, VERTEX3, EDGE3. iSAM: ODOMETRY, EDGE2, EDGE3, with square-root information.
 // Refused besides: a graph in pieces, several poses without an edge, a second vertex line of a pose.
 GraphFile ReadGraph(const std::string& path, const ReadOptions& options = {});
