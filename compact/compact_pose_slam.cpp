@@ -330,16 +330,17 @@ FactorId CompactPoseSlam<Pose>::AddPrior(const Factor<Pose>& prior) {
   const Seen& seen = Find(ends.first);
   Factor<Pose> at_kept = prior;
   if (!seen.kept) {
-    const auto* measured = std::get_if<PosePriorFactor<Pose>>(&prior);
-    if (measured == nullptr) {
-      throw std::invalid_argument("a position prior on pose " + std::to_string(seen.id.value) +
-                                  ", which was dropped before it came");
+    if (const auto* measured = std::get_if<PosePriorFactor<Pose>>(&prior)) {
+      // A link from the origin of the world.
+      const Seen* origin = nullptr;
+      const RelativePoseFactor<Pose> link{{}, {1}, measured->T_world_body, measured->information};
+      const RelativePoseFactor<Pose> carried = Carry(link, origin, &seen);
+      at_kept = PosePriorFactor<Pose>{seen.base, carried.T_from_to, carried.information};
+    } else {
+      const bool is_turned = solver_->CurrentGauge().free_turns == 0;
+      at_kept = CarryPosition(std::get<PositionPriorFactor<Pose>>(prior), seen.base, seen.T_base_pose,
+                              solver_->Estimate(seen.base), is_turned);
     }
-    // A link from the origin of the world.
-    const Seen* origin = nullptr;
-    const RelativePoseFactor<Pose> link{{}, {1}, measured->T_world_body, measured->information};
-    const RelativePoseFactor<Pose> carried = Carry(link, origin, &seen);
-    at_kept = PosePriorFactor<Pose>{seen.base, carried.T_from_to, carried.information};
   }
   GraphUpdate<Pose> update;
   update.factors.push_back(at_kept);

@@ -51,6 +51,14 @@ struct CompactPoseSlam<Pose>::Ask {
   int offer = -1;  // in Current::offers; -1: it has to be registered
 };
 
+// A position prior on a pose behind the end of a chain as one on the pose at its start, with the chain's translation as
+// (more of) its lever arm and the chain's covariance added, turned into the world as the pose at its start is. If how
+// that is turned is not known (`is_turned` false), its largest variance in every direction instead.
+template <class Pose>
+PositionPriorFactor<Pose> CarryPosition(const PositionPriorFactor<Pose>& prior, PoseId base,
+                                        const UncertainPose<Pose>& T_base_pose, const Pose& T_world_base,
+                                        bool is_turned);
+
 template <class Pose>
 struct CompactPoseSlam<Pose>::Evaluated {
   Ask ask;

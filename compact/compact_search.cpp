@@ -24,10 +24,20 @@ UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int pose, int base)
   const typename Pose::Jacobian cross = base + 1 == static_cast<int>(marginal.size())
                                             ? marginals_->KeptCross(pose)
                                             : marginals_->Column(poses[At(base)].id, {poses[At(pose)].id}).front();
-  UncertainPose<Pose> out;
-  out.T_a_b = solver_->EstimateAt(pose).Inverse() * solver_->EstimateAt(base);
-  out.covariance = terse::RelativeCovariance<Pose>(out.T_a_b, marginal[At(pose)], cross, marginal[At(base)]);
-  return out;
+  return DisplacementAt(pose, base, cross);
+}
+
+// The covariances belong together where the factor is linearised.
+template <class Pose>
+UncertainPose<Pose> CompactPoseSlam<Pose>::DisplacementAt(int pose, int base, const Jacobian& cross) const {
+  const auto& marginal = marginals_->KeptMarginals();
+  const std::vector<Pose>& points = solver_->LinearizationPoints();
+  const Pose T_point = points[At(pose)].Inverse() * points[At(base)];
+  const Pose T_pose_base = solver_->EstimateAt(pose).Inverse() * solver_->EstimateAt(base);
+  return {T_pose_base,
+          MoveCovariance<Pose>(
+              terse::RelativeCovariance<Pose>(T_point, marginal[At(pose)], cross, marginal[At(base)]), T_point,
+              T_pose_base)};
 }
 
 // Makes the displacements from all kept poses to `base` ready. They hold until the factor changes; what hangs on base
@@ -45,21 +55,14 @@ void CompactPoseSlam<Pose>::UpdateSearch(int base) {
     for (const auto& node : solver_->Graph().Poses()) ids.push_back(node.id);
     column = marginals_->Column(ids[At(base)], ids);
   }
-  const Pose T_world_base = solver_->EstimateAt(base);
   std::vector<typename PoseIndex<Pose>::Item> items;
   items.reserve(At(poses));
   T_pose_base_.resize(At(poses));
   for (int i = 0; i < poses; ++i) {
-    const Pose T_world_pose = solver_->EstimateAt(i);
     UncertainPose<Pose>& displacement = T_pose_base_[At(i)];
-    displacement = {};
-    if (i != base) {
-      displacement.T_a_b = T_world_pose.Inverse() * T_world_base;
-      const Jacobian cross = column.empty() ? marginals_->KeptCross(i) : column[At(i)];
-      displacement.covariance =
-          terse::RelativeCovariance<Pose>(displacement.T_a_b, marginal[At(i)], cross, marginal[At(base)]);
-    }
-    items.push_back({T_world_pose.Translation(), Spread::Of<Pose>(displacement.covariance)});
+    displacement = i == base ? UncertainPose<Pose>()
+                             : DisplacementAt(i, base, column.empty() ? marginals_->KeptCross(i) : column[At(i)]);
+    items.push_back({solver_->EstimateAt(i).Translation(), Spread::Of<Pose>(displacement.covariance)});
   }
   reach_->Build(std::move(items));
   searched_version_ = solver_->Factor().Version();
@@ -160,7 +163,8 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
 
 #define TERSE_INSTANTIATE(Pose)                                                                              \
   template void CompactPoseSlam<Pose>::UpdateCovariances();                                                  \
-  template UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int, int) const;                     \
+  template UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int, int) const;                      \
+  template UncertainPose<Pose> CompactPoseSlam<Pose>::DisplacementAt(int, int, const Jacobian&) const;                     \
   template void CompactPoseSlam<Pose>::UpdateSearch(int);                                                    \
   template double CompactPoseSlam<Pose>::OfferGain(const Current&, const Offer&, const UncertainPose<Pose>&, \
                                                    const Jacobian&) const;                                   \

@@ -39,23 +39,30 @@ class Problem {
     }
     for (const auto& prior : fixed_) Add(&prior);
     if (robust != nullptr && robust->robust.kernel != RobustKernel::kNone) MakeRobust(*robust);
-    anchor_ = Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph)));
   }
   Problem(const Problem&) = delete;
   Problem& operator=(const Problem&) = delete;
 
   typename BlockCholesky<B>::Changes Everything(const std::vector<Pose>& values) {
     Populate();
+    if (!has_gauge_) SetGauge(FindGauge(graph_, values));
     typename BlockCholesky<B>::Changes all;
     all.new_variables = static_cast<int>(graph_.Poses().size());
     all.added = LinearizeTerms(values);
-    all.added.push_back(anchor_);
     return all;
   }
 
-  // In the order of Everything() on an empty factor: slots 0, 1, ...
+  // What the anchor holds depends on where the poses are; it stays until it is set anew.
+  const Gauge<Pose>& CurrentGauge() const { return gauge_; }
+  void SetGauge(const Gauge<Pose>& gauge) {
+    gauge_ = gauge;
+    has_gauge_ = true;
+  }
+
+  // In the order of Everything() on an empty factor: slots 0, 1, ..., the anchor last.
   std::vector<LinearFactor<B>> LinearizeTerms(const std::vector<Pose>& values) const {
-    std::vector<LinearFactor<B>> out(present_.size());
+    std::vector<LinearFactor<B>> out(present_.size() + 1);
+    out.back() = Anchor(gauge_);
     SpreadChunks(threads_, present_.size(), kChunk, [&](std::size_t begin, std::size_t end) {
       for (std::size_t k = begin; k < end; ++k) out[k] = LinearizeTerm(present_[k], values);
     });
@@ -195,7 +202,8 @@ class Problem {
   std::vector<std::size_t> present_;  // terms in the factor, ascending
   std::size_t counted_ = 0;           // terms that make up chi2
   std::vector<Factor<Pose>> fixed_;
-  LinearFactor<B> anchor_;
+  Gauge<Pose> gauge_;
+  bool has_gauge_ = false;
   // Of a robust run; else empty.
   RobustKernel kernel_ = RobustKernel::kNone;
   double width_ = 0;

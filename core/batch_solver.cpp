@@ -157,8 +157,23 @@ class Run {
   }
   bool MayGoOn() const { return !singular_ && result_.termination != Termination::kStopped; }
 
+  // What the priors determine where the poses came to lie is theirs to say: the anchor holds it no more.
+  void UpdateGauge() {
+    const Gauge<Pose> found = FindGauge(graph_, result_.T_world_body);
+    if (found.root == problem_.CurrentGauge().root) return;
+    const Gauge<Pose> before = problem_.CurrentGauge();
+    problem_.SetGauge(found);
+    linearised_here_ = factored_here_ = false;
+    const bool lets_go = found.free_shifts < before.free_shifts || found.free_turns < before.free_turns;
+    if (!lets_go || !result_.Converged() || result_.iterations >= options_.max_iterations) return;
+    Log(options_.log, LogLevel::kInfo, "batch: the priors determine more of the frame than at the start, going on");
+    done_ = false;
+    Descend(options_.max_iterations - result_.iterations);
+  }
+
   void Iterate() {
     Descend(options_.max_iterations);
+    UpdateGauge();
     // The factor that is handed out is the undamped one at the final values.
     if (!factored_here_) factored_here_ = RefactorAt(0);
     result_.gradient_norm = LargestEntry(result_.factor.Gradient());

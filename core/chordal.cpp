@@ -174,7 +174,7 @@ void SolveRotations(const PoseGraph<Pose>& graph, const std::vector<PosePriorFac
 }
 
 // With the rotations as they are, every residual is linear in the translations; so this is the minimum of chi2.
-// The relative residual depends on t_to - t_from only.
+// The relative residual depends on t_to - t_from only, a position prior's with its lever arm turned.
 template <class Pose>
 void SolveTranslations(const PoseGraph<Pose>& graph, const std::vector<PosePriorFactor<Pose>>& priors,
                        bool use_position_priors, int first, const Pose& T_world_first, std::vector<Pose>& values) {
@@ -207,7 +207,7 @@ void SolveTranslations(const PoseGraph<Pose>& graph, const std::vector<PosePrior
           [&](const Block<D>& U, const Point<D>& r) { problem.Add(i, -U, j, U, r); });
     } else if (const auto* q = std::get_if<PositionPriorFactor<Pose>>(&node.factor); q != nullptr && any_position) {
       const int i = graph.IndexOf(q->pose);
-      const auto linear = EvaluatePosition(q->p_world, value(i));
+      const auto linear = EvaluatePosition(*q, value(i));
       add(linear.J_residual_pose, RotationOf(value(i)), linear.residual, q->information,
           [&](const Block<D>& U, const Point<D>& r) { problem.Add(i, U, r); });
     }
@@ -251,7 +251,7 @@ PositionPairs<Pose::kDim> PairPositions(const PoseGraph<Pose>& graph, const std:
   for (const auto& node : graph.Factors()) {
     const auto* f = std::get_if<PositionPriorFactor<Pose>>(&node.factor);
     if (f == nullptr) continue;
-    positions.emplace_back(T_old_body[static_cast<std::size_t>(graph.IndexOf(f->pose))].Translation(), f->p_world);
+    positions.emplace_back(T_old_body[static_cast<std::size_t>(graph.IndexOf(f->pose))] * f->p_body, f->p_world);
     out.mean_old += positions.back().first;
     out.mean_new += positions.back().second;
   }

@@ -25,6 +25,9 @@ constexpr TagLayout kLayouts[] = {
     {"EDGE_SE3_PRIOR", TagFamily::kG2o, 3, TagKind::kPosePrior, 30},        // id parameter, pose, 21 entries
     {"EDGE_PRIOR_SE3_XYZ", TagFamily::kG2o, 3, TagKind::kPositionPrior, 10},  // id x y z, 6 entries
     {"EDGE_SE3_PRIORXYZ", TagFamily::kG2o, 3, TagKind::kPositionPrior, 10},   // as EDGE_PRIOR_SE3_XYZ
+    // The same, and the point of the body in its frame: px py [pz].
+    {"EDGE_PRIOR_SE2_XY_LEVER", TagFamily::kG2o, 2, TagKind::kLeverPositionPrior, 8},
+    {"EDGE_PRIOR_SE3_XYZ_LEVER", TagFamily::kG2o, 3, TagKind::kLeverPositionPrior, 13},
     {"PARAMS_SE3OFFSET", TagFamily::kG2o, 0, TagKind::kOffset, 8},            // id, pose
 };
 

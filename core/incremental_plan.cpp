@@ -107,9 +107,8 @@ void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>& update, Plan
 template <class Pose>
 void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>& update, Plan& plan) const {
   const int old = static_cast<int>(graph_.Poses().size());
-  const auto point = [&](int v) -> const Pose& {
-    return v < old ? linearization_points_[At(v)] : plan.new_values[At(v - old)];
-  };
+  const std::vector<Pose>& points = plan.moved_points.empty() ? linearization_points_ : plan.moved_points;
+  const auto point = [&](int v) -> const Pose& { return v < old ? points[At(v)] : plan.new_values[At(v - old)]; };
   if (IsRobust()) FindLoops(update, plan);
   for (size_t k = 0; k < update.factors.size(); ++k) {
     const terse::Factor<Pose>& factor = update.factors[k];
@@ -144,20 +143,14 @@ AbsoluteFactors IncrementalSolver<Pose>::AbsoluteFactorsAfter(const GraphUpdate<
   return count;
 }
 
+// Behind the others: PlanFrame has found the gauge.
 template <class Pose>
 void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>& update, Plan& plan) const {
-  plan.absolute = AbsoluteFactorsAfter(update);
-  plan.anchor_information = AnchorInformation<Pose>(plan.absolute);
-  if (options_.anchor_information) plan.anchor_information.setConstant(*options_.anchor_information);
   if (anchor_slot_ < 0) {
     plan.adds_anchor = !graph_.Poses().empty() || !update.poses.empty();
-    if (plan.adds_anchor) plan.changes.added.push_back(Anchor<B>(0, plan.anchor_information));
-  } else if (plan.anchor_information != anchor_information_) {
-    auto& replaced = plan.changes.replaced;
-    replaced.erase(std::remove_if(replaced.begin(), replaced.end(),
-                                  [&](const auto& change) { return change.first == anchor_slot_; }),
-                   replaced.end());
-    replaced.emplace_back(anchor_slot_, Anchor<B>(0, plan.anchor_information));
+    if (plan.adds_anchor) plan.changes.added.push_back(Anchor(plan.gauge));
+  } else if (plan.gauge.root != gauge_.root) {
+    plan.changes.replaced.emplace_back(anchor_slot_, Anchor(plan.gauge));
   }
 }
 
@@ -223,19 +216,19 @@ void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>& update, const Plan
   }
   // Priors of fixed poses and the anchor have slots, but no id.
   for (; slots < added_slots.size(); ++slots) BindSlot(added_slots[slots], FactorId(), Matrix<B, B>::Zero());
-  absolute_ = plan.absolute;
-  anchor_information_ = plan.anchor_information;
+  CommitFrame(plan);
   if (plan.adds_anchor) anchor_slot_ = added_slots.back();
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                     \
-  template void IncrementalSolver<Pose>::Validate(const GraphUpdate<Pose>&) const;                  \
-  template void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>&, Plan&) const;       \
-  template void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>&, Plan&) const;        \
-  template void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>&, Plan&) const;         \
-  template void IncrementalSolver<Pose>::BindSlot(int, FactorId, const Matrix<B, B>&);              \
-  template void IncrementalSolver<Pose>::ReleaseSlot(FactorId);                                     \
-  template void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>&, const Plan&, StepReport&, \
+#define TERSE_INSTANTIATE(Pose)                                                                           \
+  template void IncrementalSolver<Pose>::Validate(const GraphUpdate<Pose>&) const;                        \
+  template void IncrementalSolver<Pose>::PlanNewPoses(const GraphUpdate<Pose>&, Plan&) const;             \
+  template void IncrementalSolver<Pose>::PlanFactors(const GraphUpdate<Pose>&, Plan&) const;              \
+  template void IncrementalSolver<Pose>::PlanAnchor(const GraphUpdate<Pose>&, Plan&) const;               \
+  template AbsoluteFactors IncrementalSolver<Pose>::AbsoluteFactorsAfter(const GraphUpdate<Pose>&) const; \
+  template void IncrementalSolver<Pose>::BindSlot(int, FactorId, const Matrix<B, B>&);                    \
+  template void IncrementalSolver<Pose>::ReleaseSlot(FactorId);                                           \
+  template void IncrementalSolver<Pose>::Commit(const GraphUpdate<Pose>&, const Plan&, StepReport&,       \
                                                 const std::vector<int>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -16,7 +16,9 @@ struct IncrementalSolver<Pose>::Plan {
   std::vector<char> is_loop;    // by update.factors; with a robust kernel, else empty. Loops are not in `changes`
   bool adds_anchor = false;
   AbsoluteFactors absolute;
-  Vector<B> anchor_information;
+  Gauge<Pose> gauge;
+  int gauge_found_at = 0;
+  std::vector<Pose> moved_points;  // of the poses that were there, if the map moves as a whole; else empty
 
   bool IsLoop(std::size_t k) const { return !is_loop.empty() && is_loop[k] != 0; }
   int IndexOf(PoseId id, const PoseGraph<Pose>& graph) const {

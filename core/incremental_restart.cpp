@@ -140,13 +140,18 @@ std::optional<BatchResult<Pose>> IncrementalSolver<Pose>::LowerMinimum(double co
 // All linearisation points. False, and nothing changes, if the factor does not take them.
 template <class Pose>
 bool IncrementalSolver<Pose>::MoveTo(const std::vector<Pose>& T_world_body) {
+  Gauge<Pose> gauge = gauge_;
+  if (!options_.anchor_information) gauge = FindGauge(graph_, T_world_body);
   typename BlockCholesky<B>::Changes changes;
   const auto point = [&](int v) -> const Pose& { return T_world_body[static_cast<size_t>(v)]; };
   for (int slot = 0; slot < static_cast<int>(factor_of_slot_.size()); ++slot) {
-    if (factor_.FactorAt(slot).first >= 0) changes.replaced.emplace_back(slot, LinearizeSlot(slot, point));
+    if (factor_.FactorAt(slot).first < 0) continue;
+    changes.replaced.emplace_back(slot, slot == anchor_slot_ ? Anchor(gauge) : LinearizeSlot(slot, point));
   }
   if (!factor_.Update(std::move(changes)).ok) return false;
   linearization_points_ = T_world_body;
+  gauge_ = gauge;
+  gauge_found_at_ = absolute_.Count();
   for (int v = 0; v < factor_.Variables(); ++v) factor_.ClearSolution(v);
   RecountCosts();
   ForgetErrors();

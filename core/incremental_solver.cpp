@@ -49,6 +49,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   {
     ScopedTimer timer(seconds_.linearise);
     PlanNewPoses(update, plan);
+    PlanFrame(update, plan);
     PlanFactors(update, plan);
     PlanAnchor(update, plan);
   }
@@ -117,6 +118,7 @@ void IncrementalSolver<Pose>::AddToFactor(const GraphUpdate<Pose>& update, Plan&
   for (const auto& change : plan.changes.replaced) ChangeCosts(change.second, 1);
   for (const auto& factor : plan.changes.added) ChangeCosts(factor, 1);
   Commit(update, plan, report, factored.added_slots);
+  if (!plan.moved_points.empty()) RecountCosts();  // the offsets are gone
 }
 
 // Of the system that the update would have made.
@@ -131,7 +133,7 @@ void IncrementalSolver<Pose>::ThrowSingularUpdate(const GraphUpdate<Pose>& updat
   for (const auto& [slot, factor] : plan.changes.replaced) old[slot] = factor;
   std::vector<LinearFactor<B>> system = plan.changes.added;
   for (const auto& [slot, factor] : old) system.push_back(factor);
-  std::vector<Pose> values = linearization_points_;
+  std::vector<Pose> values = plan.moved_points.empty() ? linearization_points_ : plan.moved_points;
   values.insert(values.end(), plan.new_values.begin(), plan.new_values.end());
   std::vector<PoseId> ids;
   for (const auto& node : graph_.Poses()) ids.push_back(node.id);

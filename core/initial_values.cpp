@@ -5,6 +5,7 @@
 
 #include "adjacency.h"
 #include "chordal.h"
+#include "position_start.h"
 #include "terse/core/arrival.h"
 #include "terse/core/start_values.h"
 
@@ -144,9 +145,8 @@ std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValu
       for (const int factor : tree.factors) composer.Follow(factor);
       values = composer.Take();
     }
-    if (!start) {
-      if (const auto T_new_old = internal::AlignToPositionPriors(graph, values)) MoveTo(*T_new_old, values);
-    }
+    // Then each stretch, and each fixed pose, is where it belongs.
+    if (internal::MoveToPositionPriors(graph, by_id, values) == internal::PositionStart::kPiecewise) return values;
   }
 
   for (const int pose : by_id) {

@@ -33,7 +33,7 @@ LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, const Matrix<Pose
     out.A_first.noalias() = W * e.J_residual_pose;
     out.residual.noalias() = W * e.residual;
   } else {
-    const auto e = EvaluatePosition<Pose>(std::get<PositionPriorFactor<Pose>>(factor).p_world, T_world_first);
+    const auto e = EvaluatePosition(std::get<PositionPriorFactor<Pose>>(factor), T_world_first);
     out.A_first.template topRows<D>() = W.template topLeftCorner<D, D>() * e.J_residual_pose;
     out.residual.template head<D>() = W.template topLeftCorner<D, D>() * e.residual;
   }
@@ -53,7 +53,8 @@ Vector<Pose::kDof> Residual(const Factor<Pose>& factor, const Pose& T_world_firs
   }
   if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) return f->T_world_body.Local(T_world_first);
   Vector<Pose::kDof> out = Vector<Pose::kDof>::Zero();
-  out.template head<Pose::kDim>() = T_world_first.Translation() - std::get<PositionPriorFactor<Pose>>(factor).p_world;
+  const auto& prior = std::get<PositionPriorFactor<Pose>>(factor);
+  out.template head<Pose::kDim>() = T_world_first * prior.p_body - prior.p_world;
   return out;
 }
 

@@ -111,6 +111,7 @@ std::string FindDefect(const Factor<Pose>& factor) {
     return FindDefectIn("prior on " + Name(f->pose), f->T_world_body, f->information);
   }
   const auto& f = std::get<PositionPriorFactor<Pose>>(factor);
+  if (!f.p_body.allFinite()) return "position prior on " + Name(f.pose) + ": the lever arm is not finite";
   return FindDefectIn("position prior on " + Name(f.pose), f.p_world, f.information);
 }
 

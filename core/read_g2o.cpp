@@ -1,6 +1,7 @@
 // g2o: https://github.com/RainerKuemmerle/g2o/wiki/File-Format. Rotation entries of 3D information are for the
 // vector part of the quaternion. EDGE_PRIOR_SE3_XYZ is ours, EDGE_SE3_PRIORXYZ hdl_graph_slam's: a position in the
-// world with its information.
+// world with its information. Ours too are EDGE_PRIOR_SE2_XY_LEVER and EDGE_PRIOR_SE3_XYZ_LEVER, which name the point of
+// the body that was there behind it.
 
 #include <cmath>
 
@@ -82,9 +83,12 @@ Factor<Pose> FactorFields(const Fields& fields, TagKind kind, const ReadOptions&
     const PoseId from = IdField(fields, 1, "from"), to = IdField(fields, 2, "to");
     return RelativePoseFactor<Pose>{from, to, PoseFields<Pose>(fields, 3), information(3 + kPose)};
   }
-  if (kind == TagKind::kPositionPrior) {
-    return PositionPriorFactor<Pose>{IdField(fields, 1), PositionFields<kDim>(fields, 2),
-                                     SymmetricFields<kDim>(fields, 2 + kDim)};
+  if (kind == TagKind::kPositionPrior || kind == TagKind::kLeverPositionPrior) {
+    PositionPriorFactor<Pose> prior{IdField(fields, 1), PositionFields<kDim>(fields, 2),
+                                    SymmetricFields<kDim>(fields, 2 + kDim)};
+    constexpr int kLever = 2 + kDim + kDim * (kDim + 1) / 2;
+    if (kind == TagKind::kLeverPositionPrior) prior.p_body = PositionFields<kDim>(fields, kLever);
+    return prior;
   }
   return PosePriorFields<Pose>(fields, options, offsets);
 }

@@ -13,7 +13,7 @@
 namespace terse {
 
 enum class TagFamily { kG2o, kToro, kIsam, kToroOrIsam };
-enum class TagKind { kVertex, kEdge, kPosePrior, kPositionPrior, kFix, kOffset };
+enum class TagKind { kVertex, kEdge, kPosePrior, kPositionPrior, kLeverPositionPrior, kFix, kOffset };
 
 struct TagLayout {
   std::string_view tag;

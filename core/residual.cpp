@@ -21,13 +21,15 @@ PriorResidual<Pose> EvaluatePrior(const Pose& T_measured, const Pose& T_world_bo
 }
 
 template <class Pose>
-PositionResidual<Pose> EvaluatePosition(const typename Pose::Position& p_world, const Pose& T_world_body) {
+PositionResidual<Pose> EvaluatePosition(const PositionPriorFactor<Pose>& prior, const Pose& T_world_body) {
   PositionResidual<Pose> out;
-  out.residual = T_world_body.Translation() - p_world;
-  // d (t + R rho) / d rho = R: the adjoint's rotation block.
-  out.J_residual_pose.setZero();
-  out.J_residual_pose.template leftCols<Pose::kDim>() =
-      T_world_body.Adjoint().template topLeftCorner<Pose::kDim, Pose::kDim>();
+  out.residual = T_world_body * prior.p_body - prior.p_world;
+  // The point moves as the origin of T * (I, p_body) does, by the translation that the adjoint of (I, -p_body) gives:
+  // d (t + R (rho + phi^ p_body)) / d [rho; phi].
+  typename Pose::Tangent shift = Pose::Tangent::Zero();
+  shift.template head<Pose::kDim>() = -prior.p_body;
+  const typename Pose::Jacobian at_point = Pose().Retract(shift).Adjoint(), R = T_world_body.Adjoint();
+  out.J_residual_pose = R.template topLeftCorner<Pose::kDim, Pose::kDim>() * at_point.template topRows<Pose::kDim>();
   return out;
 }
 
@@ -51,14 +53,14 @@ double FactorChi2(const Factor<Pose>& factor, const Pose& T_world_first, const P
     return Weighted(r, f->information);
   }
   const auto& f = std::get<PositionPriorFactor<Pose>>(factor);
-  const typename Pose::Position r = T_world_first.Translation() - f.p_world;
+  const typename Pose::Position r = T_world_first * f.p_body - f.p_world;
   return Weighted(r, f.information);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                  \
-  template RelativeResidual<Pose> EvaluateRelative<Pose>(const Pose&, const Pose&, const Pose&); \
-  template PriorResidual<Pose> EvaluatePrior<Pose>(const Pose&, const Pose&);                    \
-  template PositionResidual<Pose> EvaluatePosition<Pose>(const Pose::Position&, const Pose&);    \
+#define TERSE_INSTANTIATE(Pose)                                                                          \
+  template RelativeResidual<Pose> EvaluateRelative<Pose>(const Pose&, const Pose&, const Pose&);         \
+  template PriorResidual<Pose> EvaluatePrior<Pose>(const Pose&, const Pose&);                            \
+  template PositionResidual<Pose> EvaluatePosition<Pose>(const PositionPriorFactor<Pose>&, const Pose&); \
   template double FactorChi2<Pose>(const Factor<Pose>&, const Pose&, const Pose&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

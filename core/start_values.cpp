@@ -165,12 +165,14 @@ class Comparison {
     const double lambda = start.damping.lambda();
     damping_.clear();
     if (factor_.Variables() == 0) {
+      problem_.SetGauge(FindGauge(graph_, start.values));
       if (!factor_.Update(problem_.Everything(start.values)).ok) {
         singular_ = true;
         return false;
       }
       if (lambda == 0) return true;
     } else {
+      problem_.SetGauge(FindGauge(graph_, start.values));  // each start lies in a frame of its own
       factor_.SetFactors(problem_.LinearizeTerms(start.values));
     }
     if (lambda > 0) {

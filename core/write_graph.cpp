@@ -81,9 +81,14 @@ void WriteG2oFactor(const Factor<Pose>& factor, RotationInformation meaning, std
     AddInformation(AddPose(line, f->T_world_body), f->information, meaning).WriteTo(out);
   } else {
     const auto& prior = std::get<PositionPriorFactor<Pose>>(factor);
-    Line line(kIsPlanar<Pose> ? "EDGE_PRIOR_SE2_XY" : "EDGE_PRIOR_SE3_XYZ");
+    // A reader that does not know the lever arm must not take it for zero: a tag of its own.
+    const std::string tag = kIsPlanar<Pose> ? "EDGE_PRIOR_SE2_XY" : "EDGE_PRIOR_SE3_XYZ";
+    const bool has_lever = !prior.p_body.isZero(0);
+    Line line((tag + (has_lever ? "_LEVER" : "")).c_str());
     line.Add(prior.pose).template AddVector<Pose::kDim>(prior.p_world);
-    line.template AddUpperTriangle<Pose::kDim>(prior.information).WriteTo(out);
+    line.template AddUpperTriangle<Pose::kDim>(prior.information);
+    if (has_lever) line.template AddVector<Pose::kDim>(prior.p_body);
+    line.WriteTo(out);
   }
 }
 

@@ -15,10 +15,17 @@ Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_wor
 template <class Pose>
 Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body,
                            BlockCholesky<Pose::kDof> factor)
+    : Marginals(graph, std::move(T_world_body), std::move(factor), {}) {}
+
+template <class Pose>
+Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body,
+                           BlockCholesky<Pose::kDof> factor, std::vector<Pose> linearization_points)
     : T_world_body_(std::move(T_world_body)),
+      points_(std::move(linearization_points)),
       factor_(std::make_unique<BlockCholesky<Pose::kDof>>(std::move(factor))),
       inverse_(*factor_) {
-  if (T_world_body_.size() != graph.Poses().size() || factor_->Variables() != static_cast<int>(T_world_body_.size())) {
+  if (T_world_body_.size() != graph.Poses().size() || factor_->Variables() != static_cast<int>(T_world_body_.size()) ||
+      (!points_.empty() && points_.size() != T_world_body_.size())) {
     throw std::invalid_argument("the graph, its values and the factor differ in size");
   }
   for (const auto& node : graph.Poses()) index_.emplace(node.id.value, static_cast<int>(index_.size()));

@@ -1,5 +1,6 @@
 #include "terse/covariance/pose_marginals.h"
 
+#include <Eigen/LU>
 #include <stdexcept>
 
 #include "terse/covariance/covariance_blocks.h"
@@ -87,10 +88,11 @@ typename Pose::Jacobian PoseMarginals<Pose>::Relative(PoseId a, PoseId b,
                                                       const CovarianceConvention& convention) const {
   const int i = IndexOf(a), j = IndexOf(b);
   if (i == j) throw std::invalid_argument("a relative pose needs two distinct poses");
-  const Pose T_a_b = ValueAt(i).Inverse() * ValueAt(j);
-  // d_ab = d_b - Ad(T_a_b^-1) d_a.
-  const Jacobian covariance =
-      CombinationCovariance<B>(FactorOfAll(), {{i, -Jacobian(T_a_b.Inverse().Adjoint())}, {j, Jacobian::Identity()}});
+  // d_ab = d_b - Ad(T_a_b^-1) d_a, in which what moves both poses together cancels where H is linearised only.
+  const Pose T_a_b_point = PointAt(i).Inverse() * PointAt(j), T_a_b = ValueAt(i).Inverse() * ValueAt(j);
+  const Jacobian A = T_a_b_point.Inverse().Adjoint();
+  const Jacobian at_point = CombinationCovariance<B>(FactorOfAll(), {{i, -A}, {j, Jacobian::Identity()}});
+  const Jacobian covariance = MoveCovariance<Pose>(at_point, T_a_b_point, T_a_b);
   return ConvertCovariance<Pose>(covariance, T_a_b, convention);
 }
 
@@ -99,6 +101,15 @@ typename Pose::Jacobian PoseMarginals<Pose>::Combination(const std::vector<Term>
   std::vector<CovarianceTerm<B>> sum;
   for (const Term& term : terms) sum.push_back({IndexOf(term.id), term.A});
   return CombinationCovariance<B>(FactorOfAll(), sum);
+}
+
+template <class Pose>
+typename Pose::Jacobian MoveCovariance(const typename Pose::Jacobian& covariance, const Pose& T_from,
+                                       const Pose& T_to) {
+  const Eigen::Matrix<double, Pose::kDof, Pose::kDof> inverse = Pose::LocalJacobian(T_from.Local(T_to));
+  const typename Pose::Jacobian J = inverse.inverse();
+  const typename Pose::Jacobian out = J * covariance * J.transpose();
+  return (out + out.transpose()) / 2;
 }
 
 template <class Pose>
@@ -115,6 +126,8 @@ typename Pose::Jacobian RelativeCovariance(const Pose& T_a_b, const typename Pos
 
 template class PoseMarginals<SE2>;
 template class PoseMarginals<SE3>;
+template SE2::Jacobian MoveCovariance<SE2>(const SE2::Jacobian&, const SE2&, const SE2&);
+template SE3::Jacobian MoveCovariance<SE3>(const SE3::Jacobian&, const SE3&, const SE3&);
 template SE2::Jacobian RelativeCovariance<SE2>(const SE2&, const SE2::Jacobian&, const SE2::Jacobian&,
                                                const SE2::Jacobian&);
 template SE3::Jacobian RelativeCovariance<SE3>(const SE3&, const SE3::Jacobian&, const SE3::Jacobian&,

@@ -164,9 +164,9 @@ Marginals MarginalsOf(const Slam& slam) {
     using Pose = std::decay_t<decltype(held.Solver().EstimateAt(0))>;
     auto graph = std::make_shared<const AnyPoseGraph>(held.Solver().Graph());
     const py::gil_scoped_release release;
-    auto queries =
-        std::make_shared<const terse::Marginals<Pose>>(std::get<PoseGraph<Pose>>(*graph), held.Solver().Estimates(),
-                                                       BlockCholesky<Pose::kDof>(held.Solver().Factor()));
+    auto queries = std::make_shared<const terse::Marginals<Pose>>(
+        std::get<PoseGraph<Pose>>(*graph), held.Solver().Estimates(), BlockCholesky<Pose::kDof>(held.Solver().Factor()),
+        held.Solver().LinearizationPoints());
     return {std::move(queries), std::move(graph)};
   });
 }
@@ -269,7 +269,7 @@ void BindAdding(Type& type) {
                 },
                 slam.slam);
           },
-          py::arg("prior"), "A prior that comes late, on any pose seen; its id. A position prior only on a kept pose.")
+          py::arg("prior"), "A prior that comes late, on any pose seen, kept or dropped; its id.")
       .def("finish", &Finish, "Iterates the kept graph to its optimum (Solution). Without the GIL.");
 }
 
@@ -293,6 +293,12 @@ void BindReading(Type& type) {
       .def_property_readonly(
           "links_kept", [](const Slam& s) { return Read(s, [](const auto& held) { return held.LinksKept(); }); },
           "Links in the map, beside the odometry.")
+      .def(
+          "undetermined",
+          [](const Slam& s) { return Read(s, [](const auto& held) { return held.Solver().DescribeUndetermined(); }); },
+          "What the absolute measurements so far leave undetermined of how the map lies, in words, as its heading "
+          "after "
+          "one position prior; '' if nothing, or if there are none.")
       .def(
           "estimate",
           [](const Slam& s, std::int64_t id, const std::string& recovery) {

@@ -42,15 +42,19 @@ PosePrior MakePosePrior(std::int64_t id, const Array& T, const std::optional<Arr
 }
 
 PositionPrior MakePositionPrior(std::int64_t id, const Array& p, const std::optional<Array>& information,
-                                const std::optional<Array>& covariance) {
+                                const std::optional<Array>& covariance, const std::optional<Array>& lever) {
   if (p.ndim() != 1 || (p.shape(0) != 2 && p.shape(0) != 3)) {
     throw std::invalid_argument("p_world: expected shape (2,) or (3,), got " + ShapeOf(p));
   }
+  if (lever && (lever->ndim() != 1 || lever->shape(0) != p.shape(0))) {
+    throw std::invalid_argument("p_body: expected the shape of p_world, got " + ShapeOf(*lever));
+  }
   return ForDimension(static_cast<int>(p.shape(0)), [&](auto origin) {
     using Pose = decltype(origin);
-    return PositionPrior{Checked<Pose>(
-        PositionPriorFactor<Pose>{PoseId{id}, typename Pose::Position(Eigen::Map<const Vector<Pose::kDim>>(p.data())),
-                                  InformationFrom<Pose::kDim>(information, covariance)})};
+    PositionPriorFactor<Pose> prior{PoseId{id}, typename Pose::Position(Eigen::Map<const Vector<Pose::kDim>>(p.data())),
+                                    InformationFrom<Pose::kDim>(information, covariance)};
+    if (lever) prior.p_body = Eigen::Map<const Vector<Pose::kDim>>(lever->data());
+    return PositionPrior{Checked<Pose>(prior)};
   });
 }
 
@@ -115,12 +119,13 @@ void BindPriors(py::module_& module) {
   BindCommon(pose, "(d, d), d = 3 or 6; tangent order [translation, rotation], body frame");
 
   py::class_<PositionPrior> position(module, "PositionPrior",
-                                     "A measured position of the body in the world, as GNSS gives it. The residual is "
-                                     "in the world frame.");
+                                     "Where a point of the body was measured in the world, as by GNSS. The residual, "
+                                     "T_world_body p_body - p_world, is in the world frame.");
   position
       .def(py::init(&MakePositionPrior), py::arg("pose_id"), py::arg("p_world"), py::kw_only(),
-           py::arg("information") = py::none(), py::arg("covariance") = py::none(),
-           "p_world: (2,) or (3,), metres.\n"
+           py::arg("information") = py::none(), py::arg("covariance") = py::none(), py::arg("p_body") = py::none(),
+           "p_world: (2,) or (3,), metres. p_body: the point, in the body's frame, as of an antenna; the body's origin "
+           "if it is not given.\n"
            "information, covariance: exactly one, (2, 2) or (3, 3), or its diagonal; world frame, metres.")
       .def_property_readonly(
           "pose_id", [](const PositionPrior& w) { return std::visit([](auto& f) { return f.pose.value; }, w.factor); },
@@ -128,7 +133,11 @@ void BindPriors(py::module_& module) {
       .def_property_readonly(
           "p_world",
           [](const PositionPrior& w) { return std::visit([](auto& f) { return ArrayOfVector(f.p_world); }, w.factor); },
-          "The measurement, (2,) or (3,), metres. A copy.");
+          "The measurement, (2,) or (3,), metres. A copy.")
+      .def_property_readonly(
+          "p_body",
+          [](const PositionPrior& w) { return std::visit([](auto& f) { return ArrayOfVector(f.p_body); }, w.factor); },
+          "The point that was measured, in the body's frame, metres. A copy.");
   BindCommon(position, "(2, 2) or (3, 3), world frame");
 }
 

@@ -220,6 +220,12 @@ void BindIncremental(py::module_& module) {
           },
           py::arg("factor_id"), "With which a measurement takes part now, in [0, 1].")
       .def(
+          "undetermined",
+          [](const Solver& s) { return Read(s, [](const auto& held) { return held.DescribeUndetermined(); }); },
+          "What the absolute measurements so far leave undetermined of how the map lies, in words, as its heading "
+          "after "
+          "one position prior; '' if nothing, or if there are none.")
+      .def(
           "log_determinant",
           [](const Solver& s) { return Read(s, [](const auto& held) { return held.LogDeterminant(); }); },
           "ln det H at the linearisation points.")

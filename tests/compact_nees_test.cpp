@@ -30,10 +30,12 @@ struct Sum {
 
 // Of the kept poses after Finish: the newest, and all jointly.
 template <class Pose>
-void AddRun(std::uint64_t seed, CompositionOrder composition, Sum& newest, Sum& all, long& dropped, long& links) {
+void AddRun(std::uint64_t seed, CompositionOrder composition, bool priors, Sum& newest, Sum& all, long& dropped,
+            long& links) {
   constexpr int B = Pose::kDof;
   testing::SimulationOptions simulation;
   simulation.poses = 81;
+  simulation.priors = priors;
   const auto run = testing::Simulate<Pose>(seed, simulation);
   GraphReplay<Pose> replay(run.graph);
   CompactOptions<Pose> options = testing::OptionsFor(replay, Strategy::kFpfl);
@@ -65,7 +67,7 @@ TYPED_TEST(CompactNeesTest, NotAboveTheInterval) {
     Sum newest, all;
     long dropped = 0, links = 0;
     for (std::uint64_t seed = 1; seed <= kRuns; ++seed) {
-      AddRun<TypeParam>(seed, composition, newest, all, dropped, links);
+      AddRun<TypeParam>(seed, composition, false, newest, all, dropped, links);
     }
     newest.ExpectNotAbove("newest kept pose");
     all.ExpectNotAbove("all kept poses");
@@ -74,6 +76,20 @@ TYPED_TEST(CompactNeesTest, NotAboveTheInterval) {
     std::printf("NEES / dof: newest %.3f, all %.3f; %.1f dropped\n", newest.nees / newest.dof, all.nees / all.dof,
                 static_cast<double>(dropped) / kRuns);
   }
+}
+
+// With noisy positions and poses from the third pose on, every pose that has one kept.
+TYPED_TEST(CompactNeesTest, NotAboveTheIntervalWithPriors) {
+  Sum newest, all;
+  long dropped = 0, links = 0;
+  for (std::uint64_t seed = 1; seed <= kRuns; ++seed) {
+    AddRun<TypeParam>(seed, CompositionOrder::kFirst, true, newest, all, dropped, links);
+  }
+  newest.ExpectNotAbove("newest kept pose");
+  all.ExpectNotAbove("all kept poses");
+  EXPECT_GT(dropped, 10 * kRuns) << "poses have to be dropped for this to mean anything";
+  std::printf("NEES / dof with priors: newest %.3f, all %.3f; %.1f dropped\n", newest.nees / newest.dof,
+              all.nees / all.dof, static_cast<double>(dropped) / kRuns);
 }
 
 }  // namespace

@@ -371,7 +371,9 @@ class RoundTripTest : public ::testing::Test {
         graph.AddFactor(PosePriorFactor<Pose>{id(i), DrawPose(), DrawInformation<Pose::kDof>()});
       }
       if (!only_edges && random_() % 3 == 0) {
-        graph.AddFactor(PositionPriorFactor<Pose>{id(i), DrawPose().Translation(), DrawInformation<Pose::kDim>()});
+        PositionPriorFactor<Pose> prior{id(i), DrawPose().Translation(), DrawInformation<Pose::kDim>()};
+        if (random_() % 2 == 0) prior.p_body = DrawPose().Translation();
+        graph.AddFactor(prior);
       }
     }
     return graph;
@@ -407,6 +409,7 @@ void ExpectSameGraph(const PoseGraph<Pose>& a, const PoseGraph<Pose>& b) {
     } else {
       const auto& q = FactorAt<PositionPriorFactor<Pose>>(a, i);
       EXPECT_TRUE(SameBits(q.p_world, FactorAt<PositionPriorFactor<Pose>>(b, i).p_world));
+      EXPECT_TRUE(SameBits(q.p_body, FactorAt<PositionPriorFactor<Pose>>(b, i).p_body));
       EXPECT_TRUE(SameBits(q.information, FactorAt<PositionPriorFactor<Pose>>(b, i).information));
     }
   }

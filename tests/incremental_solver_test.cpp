@@ -46,7 +46,8 @@ TYPED_TEST(IncrementalSolverTest, EqualsDenseAfterEveryStep) {
       const auto summary = solver.Update(update);
       relinearised += summary.variables_relinearised;
       EXPECT_EQ(summary.factor_ids.size(), update.factors.size());
-      ExpectEqualsDense(solver);
+      // A map that moved as a whole to its first priors may have nothing left to gain.
+      ExpectEqualsDense(solver, summary.gate_open);
       if (this->HasFatalFailure()) return;
     }
     EXPECT_GT(relinearised, 0);

@@ -279,7 +279,10 @@ TEST(MeasurementStream, LatePriors) {
     run.slam.Finish();
     for (int k = 0; k < 8; ++k) EXPECT_LT(Distance(run.slam.Estimate({k}), shift * Ahead(0.5 * k)), 1e-5) << k;
     if (on_dropped) {
-      EXPECT_THROW(run.Add(PositionPriorFactor<SE2>{id, {0, 0}, Matrix<2, 2>::Identity()}), std::invalid_argument);
+      const SE2 T_world_body = shift * Ahead(0.5 * static_cast<double>(id.value));
+      run.Add(PositionPriorFactor<SE2>{id, T_world_body.Translation(), Matrix<2, 2>::Identity()});
+      ASSERT_EQ(run.priors.size(), 2u);
+      EXPECT_EQ(run.priors[1].kept, run.slam.KeptBase(id));
     }
     run.Add(Edge(7, 8, Ahead(0.5)));  // the search goes on
     run.Take(run.stream.Flush());

@@ -61,11 +61,14 @@ TYPED_TEST(ResidualTest, PriorJacobianMatchesCentralDifferences) {
 TYPED_TEST(ResidualTest, PositionJacobianMatchesCentralDifferences) {
   Random random(23);
   for (int i = 0; i < kCases; ++i) {
-    const typename TypeParam::Position p_world = random.NormalVector<TypeParam::kDim>();
+    PositionPriorFactor<TypeParam> prior;
+    prior.p_world = random.NormalVector<TypeParam::kDim>();
+    if (i % 2 == 0) prior.p_body = random.NormalVector<TypeParam::kDim>();
     const auto T_world_body = testing::RandomPose<TypeParam>(random, 5);
-    const auto out = EvaluatePosition(p_world, T_world_body);
+    const auto out = EvaluatePosition(prior, T_world_body);
+    ASSERT_LT((out.residual - (T_world_body * prior.p_body - prior.p_world)).norm(), 1e-13);
     ASSERT_TRUE(JacobianMatches(
-        out.J_residual_pose, [&](const auto& e) { return EvaluatePosition(p_world, T_world_body.Retract(e)).residual; },
+        out.J_residual_pose, [&](const auto& e) { return EvaluatePosition(prior, T_world_body.Retract(e)).residual; },
         kTolerance));
   }
 }
@@ -79,7 +82,9 @@ TYPED_TEST(ResidualTest, ResidualIsZeroAtTheMeasurementAndMeansWhatTheHeaderSays
     // Rounding of translations of some ten metres.
     ASSERT_LT(EvaluateRelative(T_from_to, T_world_from, T_world_to).residual.norm(), 1e-13);
     ASSERT_LT(EvaluatePrior(T_world_to, T_world_to).residual.norm(), 1e-13);
-    ASSERT_EQ(EvaluatePosition(T_world_to.Translation(), T_world_to).residual.norm(), 0);
+    ASSERT_EQ(
+        EvaluatePosition(PositionPriorFactor<TypeParam>{{}, T_world_to.Translation(), {}}, T_world_to).residual.norm(),
+        0);
     auto d = testing::RandomTangent<TypeParam>(random, 1);
     d *= 0.5;
     ASSERT_LT((EvaluateRelative(T_from_to, T_world_from, T_world_to.Retract(d)).residual - d).norm(), 1e-13);
@@ -125,7 +130,7 @@ TYPED_TEST(ResidualTest, Chi2WeighsWithTheFullInformation) {
     EXPECT_NEAR(FactorChi2<TypeParam>(prior, value(i), value(i)), prior_chi2, 1e-13 * prior_chi2);
     PositionPriorFactor<TypeParam> position{PoseId{3 * i}, random.NormalVector<TypeParam::kDim>(),
                                             random.Information<TypeParam::kDim>()};
-    const double position_chi2 = Quadratic(EvaluatePosition(position.p_world, value(i)).residual, position.information);
+    const double position_chi2 = Quadratic(EvaluatePosition(position, value(i)).residual, position.information);
     EXPECT_NEAR(FactorChi2<TypeParam>(position, value(i), value(i)), position_chi2, 1e-13 * position_chi2);
     graph.AddFactor(edge);
     graph.AddFactor(prior);

@@ -78,7 +78,7 @@ void AddDense(DenseSystem& system, const LinearFactor<B>& f) {
 }
 
 template <class Pose>
-DenseSystem MakeDenseSystem(const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
+DenseSystem MakeDenseSystem(const PoseGraph<Pose>& graph, const std::vector<Pose>& values, const Gauge<Pose>* gauge) {
   constexpr int B = Pose::kDof;
   const Eigen::Index n = B * static_cast<Eigen::Index>(values.size());
   DenseSystem system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)};
@@ -93,7 +93,7 @@ DenseSystem MakeDenseSystem(const PoseGraph<Pose>& graph, const std::vector<Pose
     const int i = graph.IndexOf(node.id);
     AddDense(system, Linearize<Pose>(FixedPosePrior<Pose>(node.id, *node.T_world_body), i, i, at(i), at(i)));
   }
-  AddDense(system, Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph))));
+  AddDense(system, Anchor(gauge != nullptr ? *gauge : FindGauge(graph, values)));
   return system;
 }
 
@@ -108,7 +108,7 @@ TERSE_INSTANTIATE(6);
   template Pose RandomMotion<Pose>(Random&, double, double);                            \
   template RandomGraph<Pose> MakeRandomGraph<Pose>(Random&, const RandomGraphOptions&); \
   template void AddDense<Pose::kDof>(DenseSystem&, const LinearFactor<Pose::kDof>&);    \
-  template DenseSystem MakeDenseSystem<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&)
+  template DenseSystem MakeDenseSystem<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, const Gauge<Pose>*)
 TERSE_INSTANTIATE(SE2);
 TERSE_INSTANTIATE(SE3);
 #undef TERSE_INSTANTIATE

@@ -10,6 +10,7 @@
 
 #include "dense_algebra.h"
 #include "slow_build.h"
+#include "terse/core/gauge.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/pose_graph.h"
 
@@ -63,7 +64,8 @@ template <int B>
 void AddDense(DenseSystem& system, const LinearFactor<B>& f);
 
 template <class Pose>
-DenseSystem MakeDenseSystem(const PoseGraph<Pose>& graph, const std::vector<Pose>& values);
+DenseSystem MakeDenseSystem(const PoseGraph<Pose>& graph, const std::vector<Pose>& values,
+                            const Gauge<Pose>* gauge = nullptr);
 
 template <class A, class C>
 double RelativeError(const Eigen::MatrixBase<A>& actual, const Eigen::MatrixBase<C>& expected) {

@@ -227,6 +227,8 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, const 
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
   if (!options.quiet) PrintSummary(stats, options);
+  const std::string undetermined = run.slam.Solver().DescribeUndetermined();
+  if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
   WriteReport({options.directory}, options.directory + "/report.html");
 }
 

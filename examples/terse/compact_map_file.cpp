@@ -102,6 +102,8 @@ std::string PriorText(const typename CompactMap<Pose>::Prior& prior) {
     const auto& p = position->p_world;
     out += "position\",\"measurement\":" + List(std::vector<double>(p.data(), p.data() + p.size())) +
            ",\"information\":" + Triangle<Pose::kDim>(position->information);
+    const auto& lever = position->p_body;
+    if (!lever.isZero(0)) out += ",\"lever\":" + List(std::vector<double>(lever.data(), lever.data() + lever.size()));
   }
   return out + '}';
 }
@@ -271,8 +273,13 @@ typename CompactMap<Pose>::Prior ReadPrior(const Place& place) {
                                           ReadTriangle<Pose::kDof>(place, "information")}};
   }
   const auto p = place.At("measurement", "a position").Numbers(Pose::kDim);
-  return {factor, PositionPriorFactor<Pose>{pose, Eigen::Map<const Vector<Pose::kDim>>(p.data()),
-                                            ReadTriangle<Pose::kDim>(place, "information")}};
+  PositionPriorFactor<Pose> prior{pose, Eigen::Map<const Vector<Pose::kDim>>(p.data()),
+                                  ReadTriangle<Pose::kDim>(place, "information")};
+  if (place.Has("lever")) {
+    const auto lever = place.At("lever", "a point of the body").Numbers(Pose::kDim);
+    prior.p_body = Eigen::Map<const Vector<Pose::kDim>>(lever.data());
+  }
+  return {factor, prior};
 }
 
 template <class Pose>

@@ -9,6 +9,7 @@
 #include "report.h"
 #include "start.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/gauge.h"
 #include "terse/core/initial_values.h"
 #include "terse/covariance/marginals.h"
 #include "verbose.h"
@@ -218,6 +219,9 @@ void WriteCovariance(const PoseGraph<Pose>& graph, const CovarianceCommandOption
                                               std::to_string(kMaxJointRows / Pose::kDof) + " poses are possible here");
   }
   Point<Pose> point = options.solve ? SolvedPoint(graph, options) : FilePoint(graph, options);
+  // Relative covariances do not depend on it.
+  const std::string undetermined = options.relative.empty() ? DescribeUndetermined(graph, point.T_world_body) : "";
+  if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
   const Marginals<Pose> marginals(graph, std::move(point.T_world_body), std::move(point.factor));
   if (!options.joint && options.relative.empty()) {
     WriteMarginals<Pose>(marginals, graph, options);

@@ -160,6 +160,8 @@ class OnlineRun {
     if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
       throw NumericalError(result.message);
     }
+    const std::string undetermined = slam_.Solver().DescribeUndetermined();
+    if (!undetermined.empty() && !options_.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
     WriteCompactMap(slam_, result, options_.recovery, options_.read.rotation_information, options_.directory);
     WriteDecisions(decisions_, options_.directory + "/decisions.csv");
   }

@@ -30,18 +30,27 @@ ordered_json LinkJson(const Candidate& c) {
   return json;
 }
 
+// What a prior says of the frame is known now.
+template <class Pose>
+void AddUndetermined(const CompactPoseSlam<Pose>& slam, ordered_json& json) {
+  const std::string words = slam.Solver().DescribeUndetermined();
+  if (!words.empty()) json["undetermined"] = words;
+}
+
 template <class Pose>
 ordered_json DecisionJson(const Decision& d, const CompactPoseSlam<Pose>& slam) {
   ordered_json links = ordered_json::array();
   for (const Candidate& c : d.candidates) {
     if (c.measured_gain || c.accepted) links.push_back(LinkJson(c));
   }
-  return {{"pose", d.id.value},
-          {"kept", d.Kept()},
-          {"verdict", Name(d.verdict)},
-          {"pose_gain", OrNull(d.pose_gain)},
-          {"links", links},
-          {"estimate", Numbers(slam.Estimate(d.id, Recovery::kV2))}};
+  ordered_json json = {{"pose", d.id.value},
+                       {"kept", d.Kept()},
+                       {"verdict", Name(d.verdict)},
+                       {"pose_gain", OrNull(d.pose_gain)},
+                       {"links", links},
+                       {"estimate", Numbers(slam.Estimate(d.id, Recovery::kV2))}};
+  if (d.verdict == PoseVerdict::kPrior) AddUndetermined(slam, json);
+  return json;
 }
 
 ordered_json LateLinkJson(const LateLink& link) {
@@ -63,7 +72,9 @@ ordered_json ToJson(const StreamOutcome& outcome, const CompactPoseSlam<Pose>& s
   if (const auto* decision = std::get_if<Decision>(&outcome)) return DecisionJson(*decision, slam);
   if (const auto* link = std::get_if<LateLink>(&outcome)) return LateLinkJson(*link);
   const auto& prior = std::get<LatePrior>(outcome);
-  return {{"prior", prior.pose.value}, {"kept", prior.kept.value}, {"factor", prior.factor.value}};
+  ordered_json json = {{"prior", prior.pose.value}, {"kept", prior.kept.value}, {"factor", prior.factor.value}};
+  AddUndetermined(slam, json);
+  return json;
 }
 
 ordered_json RowsJson(const MatrixX& covariance) {

@@ -19,25 +19,24 @@ namespace {
 template <class Pose>
 class AnchorCost final : public ceres::SizedCostFunction<Pose::kDof, Parameters<Pose>::kSize> {
  public:
-  explicit AnchorCost(const Vector<Pose::kDof>& information) : root_(information.cwiseSqrt()) {}
+  explicit AnchorCost(const Gauge<Pose>& gauge) : root_(gauge.root) {}
   bool Evaluate(double const* const*, double* residual, double** jacobians) const override {
     Eigen::Map<Vector<Pose::kDof>>{residual}.setZero();
     if (jacobians == nullptr || jacobians[0] == nullptr) return true;
     using Jacobian = Eigen::Matrix<double, Pose::kDof, Parameters<Pose>::kSize, Eigen::RowMajor>;
-    Eigen::Map<Jacobian>{jacobians[0]} = Jacobian::Identity().array().colwise() * root_.array();
+    Eigen::Map<Jacobian>{jacobians[0]} = root_ * Jacobian::Identity();
     return true;
   }
 
  private:
-  Vector<Pose::kDof> root_;
+  typename Gauge<Pose>::Root root_;
 };
 
 template <class Pose>
 std::optional<CeresCovarianceResult> Compute(const PoseGraph<Pose>& graph, const std::vector<Pose>& values,
                                              const std::vector<typename Pose::Jacobian>& ours) {
   CeresProblem<Pose> problem(graph, values);
-  const auto information = AnchorInformation<Pose>(CountAbsoluteFactors(graph));
-  problem.Problem().AddResidualBlock(new AnchorCost<Pose>(information), nullptr, problem.Parameter(0));
+  problem.Problem().AddResidualBlock(new AnchorCost<Pose>(FindGauge(graph, values)), nullptr, problem.Parameter(0));
   std::vector<std::pair<const double*, const double*>> blocks;
   for (std::size_t v = 0; v < values.size(); ++v) blocks.emplace_back(problem.Parameter(v), problem.Parameter(v));
   ceres::Covariance::Options options;

@@ -78,7 +78,7 @@ class CholmodMatrix {
       factors.push_back(
           Linearize(node.factor, i, j, values[static_cast<std::size_t>(i)], values[static_cast<std::size_t>(j)]));
     }
-    factors.push_back(Anchor<B>(0, AnchorInformation<Pose>(CountAbsoluteFactors(graph))));
+    factors.push_back(Anchor(FindGauge(graph, values)));
     return factors;
   }
   static LinearFactors FactorsOf(const BlockCholesky<B>& other) {

@@ -140,6 +140,20 @@ def test_links_and_priors_that_come_late():
         slam.remove_link(decision.factor_id)
     slam.add_prior(terse.PositionPrior(30, [0, 0], information=[1, 1]))
     assert slam.kept_base(30) == 30 and slam.graph().num_factors == 80
+    assert slam.undetermined().startswith("heading is not determined")
+
+
+def test_a_position_prior_on_a_dropped_pose():
+    graph, _ = square()
+    slam = terse.CompactPoseSlam(options_of_square())
+    drive(slam, graph, None)
+    dropped = next(k for k in range(80) if slam.kept_base(k) != k)
+    before = slam.estimate(dropped)
+    factor = slam.add_prior(terse.PositionPrior(dropped, before[:2] + [100, 50], covariance=[1e-4, 1e-4]))
+    np.testing.assert_allclose(slam.estimate(dropped)[:2], before[:2] + [100, 50], atol=1e-3)
+    carried = slam.graph().factor(factor)
+    assert carried.pose_id == slam.kept_base(dropped) and np.linalg.norm(carried.p_body) > 0
+    assert slam.undetermined().startswith("heading is not determined")
 
 
 def test_covariances_of_any_pose():

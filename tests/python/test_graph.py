@@ -84,6 +84,11 @@ def test_priors():
     assert list(priors) == [first, second]
     np.testing.assert_array_equal(priors[first].T_world_body, LINK)
     np.testing.assert_array_equal(priors[second].p_world, [1, 2, 3])
+    np.testing.assert_array_equal(priors[second].p_body, [0, 0, 0])
+    antenna = terse.PositionPrior(0, [1, 2], information=[1, 1], p_body=[0.5, 0])
+    np.testing.assert_array_equal(antenna.p_body, [0.5, 0])
+    with pytest.raises(ValueError, match="p_body"):
+        terse.PositionPrior(0, [1, 2], information=[1, 1], p_body=[0.5, 0, 1])
     assert graph.remove_factor(first) and not graph.remove_factor(first)
     with pytest.raises(ValueError):
         graph.factor(first)

@@ -90,8 +90,10 @@ class CompactPoseSlam {
   // The same for one end alone: the other may be a pose that is yet to come. Throws std::invalid_argument if `end` is
   // no end of the link or unknown.
   RelativePoseFactor<Pose> CarryEndToKept(PoseId end, const RelativePoseFactor<Pose>& link) const;
-  // A prior that comes late, on any pose seen; a pose prior on a dropped pose is carried to the kept one. Throws
-  // std::invalid_argument for an unknown pose, a defective prior, or a position prior on a dropped pose.
+  // A prior that comes late, on any pose seen. On a dropped pose it is carried to the kept one that the pose hangs on: a
+  // pose prior by composition, a position prior with the chain's translation as its lever arm, the chain's covariance
+  // added to both. (As with CarryToKept, the chain's error is taken as independent.) Throws std::invalid_argument for
+  // an unknown pose or a defective prior.
   FactorId AddPrior(const Factor<Pose>& prior);
   // A kept pose itself, for a dropped one the kept pose that it hangs on. Throws std::invalid_argument if unknown.
   PoseId KeptBase(PoseId id) const { return Find(id).base; }
@@ -203,6 +205,7 @@ class CompactPoseSlam {
   void UpdateCovariances();
   void UpdateSearch(int base);
   UncertainPose<Pose> KnownDisplacement(int pose, int base) const;
+  UncertainPose<Pose> DisplacementAt(int pose, int base, const Jacobian& cross) const;
   double OfferGain(const Current& current, const Offer& offer, const UncertainPose<Pose>& known,
                    const Jacobian& Sigma_link) const;
   std::vector<Ask> InReach(const Current& current, bool plausible);

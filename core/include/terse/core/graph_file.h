@@ -44,7 +44,8 @@ std::string DescribeSkippedTags(const GraphFile& file);
 //
 // g2o: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX, EDGE_PRIOR_SE2, EDGE_PRIOR_SE2_XY, EDGE_SE3_PRIOR
 // with its PARAMS_SE3OFFSET, and a position in the world (id x y z, upper triangle of 3x3) as our own
-// EDGE_PRIOR_SE3_XYZ or as hdl_graph_slam's EDGE_SE3_PRIORXYZ.
+// EDGE_PRIOR_SE3_XYZ or as hdl_graph_slam's EDGE_SE3_PRIORXYZ. With a lever arm, a position prior is
+// EDGE_PRIOR_SE2_XY_LEVER or EDGE_PRIOR_SE3_XYZ_LEVER, our own too: px py [pz] behind.
 // EDGE_SE3_PRIOR measures the pose of a sensor on the body, T_world_body T_body_sensor with the parameter's
 // T_body_sensor. It is read as the prior on the body that has the same cost to second order in the deviation:
 // T_world_body = measured T_body_sensor^-1, information A' Omega A with A = Ad(T_body_sensor^-1).

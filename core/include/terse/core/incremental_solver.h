@@ -3,7 +3,9 @@
 //
 // Every update adds its factors to the block factor, along the paths of the tree that they touch. The gate decides
 // whether the map is optimised for them, the options how (incremental_options.h). The gauge is fixed as gauge.h
-// describes.
+// describes. When absolute measurements come to determine where the map is or how it is turned, the map as a whole is
+// moved to where they say before its anchor lets go: all linearisation points together, so that no step has to turn it.
+// What they have determined once stays theirs until one is removed.
 //
 // With a robust kernel (robust.h) loops enter with the weight that their innovation deserves, and their weights follow
 // the estimate; with RobustKernel::kGnc they are in or out of the factor, judged again where the estimate changes
@@ -83,6 +85,10 @@ class IncrementalSolver {
   const BlockCholesky<B>& Factor() const { return factor_; }
   const std::vector<Pose>& LinearizationPoints() const { return linearization_points_; }
   const PhaseSeconds& Seconds() const { return seconds_; }
+  // What the anchor on the first pose holds; and what the absolute measurements so far leave undetermined, in words
+  // (gauge.h): "" if they determine everything, or if there are none.
+  const Gauge<Pose>& CurrentGauge() const { return gauge_; }
+  std::string DescribeUndetermined() const;
 
   // A loaded solver continues bit for bit as the saved one would have, options included: every later estimate, factor
   // and report but for times, and what times decide (budget_seconds). Covariances made on the saved one are to be made
@@ -105,6 +111,13 @@ class IncrementalSolver {
   // incremental_plan.cpp: what an update brings.
   void Validate(const GraphUpdate<Pose>& update) const;
   void PlanNewPoses(const GraphUpdate<Pose>& update, Plan& plan) const;
+  // incremental_frame.cpp: the gauge, and the motion of the whole map when it changes.
+  using Placed = std::vector<std::pair<terse::Factor<Pose>, Pose>>;  // absolute measurements, where their poses are
+  void PlanFrame(const GraphUpdate<Pose>& update, Plan& plan) const;
+  Placed AbsoluteAfter(const GraphUpdate<Pose>& update, const Plan& plan) const;
+  void PlanMotion(const GraphUpdate<Pose>& update, const Pose& T_new_old, Plan& plan) const;
+  void CommitFrame(const Plan& plan);
+  // incremental_plan.cpp
   void PlanFactors(const GraphUpdate<Pose>& update, Plan& plan) const;
   void PlanAnchor(const GraphUpdate<Pose>& update, Plan& plan) const;
   void BindSlot(int slot, FactorId id, const Matrix<B, B>& W);
@@ -208,7 +221,8 @@ class IncrementalSolver {
   std::vector<FactorId> factor_of_slot_;  // -1: an anchor, or a free slot
   std::vector<Matrix<B, B>> W_of_slot_;   // square roots of the factors' information
   int anchor_slot_ = -1;
-  Vector<B> anchor_information_ = Vector<B>::Zero();
+  Gauge<Pose> gauge_;
+  int gauge_found_at_ = 0;  // how many absolute measurements there were
   AbsoluteFactors absolute_;
   std::vector<int> moved_;           // poses that turned since their factors' errors were looked at
   std::vector<double> possible_of_;  // by pose index: PossibleError, 0 if not in moved_

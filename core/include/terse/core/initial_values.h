@@ -3,9 +3,10 @@
 //
 // The frame of the result. A fixed pose with a value (the one of lowest id) decides: everything is moved rigidly
 // so that it has exactly that value. Otherwise the first pose (lowest id) has its file value, or else that of its
-// pose prior, or else the identity; where it has neither value nor pose prior, kCompose and kTree lay the result over
-// the position priors by least squares, if these determine a rigid motion (two distinct ones in 2D, three that
-// are not on a line in 3D). kChordal prefers priors to the first pose's value, see there.
+// pose prior, or else the identity. Position priors outrank a first pose's value: kCompose and kTree then lay the
+// result over them by least squares, as one rigid body as far as they determine its motion, or stretch by stretch,
+// whichever leaves the lower chi2; what was composed stays if that does. kChordal prefers priors to the first pose's
+// value, see there.
 
 #include <vector>
 

@@ -56,12 +56,14 @@ struct PosePriorFactor {
   typename Pose::Jacobian information = Pose::Jacobian::Zero();
 };
 
-// Measures the position of the body in the world, as GNSS does. Residual translation - p_world, world frame.
+// Measures where a point of the body is in the world, as GNSS does. Residual T_world_body * p_body - p_world, world
+// frame; p_body is the lever arm, as of an antenna, and the body's origin unless it is given.
 template <class Pose>
 struct PositionPriorFactor {
   PoseId pose;
   typename Pose::Position p_world = Pose::Position::Zero();
   Matrix<Pose::kDim, Pose::kDim> information = Matrix<Pose::kDim, Pose::kDim>::Zero();
+  typename Pose::Position p_body = Pose::Position::Zero();
 };
 
 template <class Pose>

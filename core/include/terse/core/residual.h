@@ -25,14 +25,14 @@ struct PriorResidual {
 template <class Pose>
 PriorResidual<Pose> EvaluatePrior(const Pose& T_measured, const Pose& T_world_body);
 
-// r = translation(T_world_body) - p_world; J = [R 0].
+// r = T_world_body * p_body - p_world; J = R [I -p_body^].
 template <class Pose>
 struct PositionResidual {
   typename Pose::Position residual;
   Matrix<Pose::kDim, Pose::kDof> J_residual_pose;
 };
 template <class Pose>
-PositionResidual<Pose> EvaluatePosition(const typename Pose::Position& p_world, const Pose& T_world_body);
+PositionResidual<Pose> EvaluatePosition(const PositionPriorFactor<Pose>& prior, const Pose& T_world_body);
 
 // r' Omega r of one factor. `to` is ignored by priors.
 template <class Pose>

@@ -49,8 +49,8 @@ void Serialize(Archive& archive, PosePriorFactor<Pose>& factor) {
 
 template <class Archive, class Pose>
 void Serialize(Archive& archive, PositionPriorFactor<Pose>& factor) {
-  auto& [pose, p_world, information] = factor;
-  archive(pose, p_world, information);
+  auto& [pose, p_world, information, p_body] = factor;
+  archive(pose, p_world, information, p_body);
 }
 
 template <class Archive, class Pose>
@@ -69,6 +69,12 @@ template <class Archive>
 void Serialize(Archive& archive, AbsoluteFactors& count) {
   auto& [pose_priors, position_priors] = count;
   archive(pose_priors, position_priors);
+}
+
+template <class Archive, class Pose>
+void Serialize(Archive& archive, Gauge<Pose>& gauge) {
+  auto& [free_shifts, free_turns, root] = gauge;
+  archive(free_shifts, free_turns, root);
 }
 
 template <class Archive>

@@ -59,6 +59,7 @@ class IncrementalMarginals final : public PoseMarginals<Pose> {
   PoseId NewestId() const;
   int IndexOf(PoseId id) const override { return solver_->Graph().IndexOf(id); }
   Pose ValueAt(int index) const override { return solver_->EstimateAt(index); }
+  Pose PointAt(int index) const override { return solver_->LinearizationPoints()[static_cast<std::size_t>(index)]; }
   const BlockCholesky<Pose::kDof>& FactorOfAll() const override { return solver_->Factor(); }
   std::vector<Jacobian> DiagonalBlocks(const std::vector<int>& indices) const override;
   std::vector<Jacobian> AllDiagonalBlocks() const override;

@@ -51,6 +51,8 @@ class PoseMarginals {
   // All by pose index.
   virtual int IndexOf(PoseId id) const = 0;
   virtual Pose ValueAt(int index) const = 0;
+  // Where H is linearised: covariances of several poses belong together there only.
+  virtual Pose PointAt(int index) const { return ValueAt(index); }
   virtual const BlockCholesky<B>& FactorOfAll() const = 0;
   virtual std::vector<Jacobian> DiagonalBlocks(const std::vector<int>& indices) const = 0;
   virtual std::vector<Jacobian> AllDiagonalBlocks() const = 0;
@@ -66,6 +68,11 @@ template <class Pose>
 typename Pose::Jacobian RelativeCovariance(const Pose& T_a_b, const typename Pose::Jacobian& Sigma_aa,
                                            const typename Pose::Jacobian& Sigma_ab,
                                            const typename Pose::Jacobian& Sigma_bb);
+
+// The covariance of d in T_from Retract(d) about the d with T_from Retract(d) = T_to, as that of e in T_to Retract(e):
+// what is linearised at one value, at another close by. To first order in their difference.
+template <class Pose>
+typename Pose::Jacobian MoveCovariance(const typename Pose::Jacobian& covariance, const Pose& T_from, const Pose& T_to);
 
 extern template class PoseMarginals<SE2>;
 extern template class PoseMarginals<SE3>;
