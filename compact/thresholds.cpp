@@ -15,6 +15,9 @@ constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.9
 constexpr double kRareLoopGain = 0.02, kManyLoops = 0.5;
 constexpr double kPoseToLoop = 0.9;
 
+// Of a longer run the beginning stands for the whole: the sample's map holds all poses up to the last looked at.
+constexpr long kMostMapPoses = 5000;
+
 double Raise(double gain, double power) { return std::exp(power * std::log(gain + 1)) - 1; }
 
 double Percentile90(std::vector<double> values) {
@@ -46,11 +49,13 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   Sample<Pose> sample(options, replay);
   const auto& inputs = replay.Inputs();
   const auto poses = static_cast<long>(inputs.size());
+  const long within = std::min(poses, kMostMapPoses);
   Thresholds<Pose> out;
   out.probability = options.probability;
   out.link_covariance = replay.LinkCovariance();
   out.sample_poses = std::min(options.most_poses, std::lround(options.share * static_cast<double>(poses)));
-  const std::vector<long> looked_at = SamplePositions(poses, out.sample_poses);
+  out.sample_poses = std::min(out.sample_poses, within);
+  const std::vector<long> looked_at = SamplePositions(within, out.sample_poses);
   const long end = looked_at.empty() ? 0 : looked_at.back() + 1;
   for (long k = 0; k < end; ++k) {
     sample.Add(inputs[static_cast<std::size_t>(k)], std::binary_search(looked_at.begin(), looked_at.end(), k));

@@ -103,6 +103,9 @@ double Median(std::vector<double> values) {
   return std::max(*middle, std::numeric_limits<double>::min());
 }
 
+// Where loops are dense fewer poses tell enough.
+constexpr long kMostLoopsOf = 10;
+
 // The beginning of a graph, its relative factors only. Factor k of the graph is term k.
 template <class Pose>
 struct Sample {
@@ -118,6 +121,7 @@ Sample<Pose> TakeSample(const PoseGraph<Pose>& graph, const EstimateOptions& opt
   for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
     const auto poses = static_cast<long>(sample.graph.Poses().size());
     if (poses >= options.sample_poses && sample.loops >= options.sample_loops) break;
+    if (sample.loops >= kMostLoopsOf * options.sample_loops) break;
     for (const int p : step.poses) {
       const auto& node = graph.Poses()[At(p)];
       sample.graph.AddPose(node.id, node.T_world_body);

@@ -36,6 +36,8 @@ struct CompactCommandOptions {
   std::uint64_t seed = 1;
   Recovery recovery = Recovery::kV2;
   bool calibrate = true;
+  int max_registrations = CompactOptions<SE3>().max_registrations;
+  Record record = Record::kCandidates;
   bool quiet = false;
   LogSink log;
 };
@@ -62,6 +64,8 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
   options.log = from.log;
+  options.max_registrations = from.max_registrations;
+  options.record = from.record;
   options.link_covariance = replay.LinkCovariance();
   options.probability = from.probability.value_or(options.probability);
   const bool complete = !from.range.empty() && from.min_loop_gain && from.min_pose_gain;
@@ -82,6 +86,24 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   return options;
 }
 
+// Where the file has loops and next to none of them is in the map, why, and what to change.
+void WarnOfLostLoops(const Stats& stats, const CompactCommandOptions& options) {
+  const auto number = [&](const char* key) { return stats.more.at(key).get<long>(); };
+  const long offered = number("links_offered"), kept = number("links_kept"), refused = number("links_refused");
+  if (offered == 0 || options.strategy == Strategy::kApal || options.strategy == Strategy::kRfpfl) return;
+  const bool are_rare = 10 * offered <= static_cast<long>(stats.poses);
+  const bool distrusted = refused > kept, uninformative = kept == 0 || (are_rare && 5 * kept < offered);
+  if (!distrusted && !uninformative) return;
+  std::cerr << "terse: warning: " << kept << " of " << offered << " loops are in the map; ";
+  if (distrusted) {
+    std::cerr << refused << " disagree with it by more than the innovation test allows: loops are wrong, or odometry is "
+              << "worse than its information says (--innovation-quantile, --no-innovation-test, --robust gnc)\n";
+  } else {
+    std::cerr << "the others tell less than --min-loop-gain "
+              << stats.more.at("thresholds").at("min_loop_gain").get<double>() << " nats\n";
+  }
+}
+
 void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
   const auto percent = [](double part, double whole) { return whole > 0 ? 100 * part / whole : 100.0; };
   const auto number = [&](const char* key) { return stats.more.at(key).get<long>(); };
@@ -98,6 +120,12 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
   std::snprintf(line, sizeof(line), "chi2 %g of the kept map, %.2f s; results in %s\n", stats.chi2, stats.seconds_total,
                 options.directory.c_str());
   std::cout << line;
+  if (stats.more.contains("errors")) {
+    const auto& errors = stats.more.at("errors");
+    std::snprintf(line, sizeof(line), "ATE %.4g m, %.4g deg against %s\n", errors.at("ate_m").get<double>(),
+                  errors.at("ate_deg").get<double>(), options.ground_truth.c_str());
+    std::cout << line;
+  }
   FlushOutput();
 }
 
@@ -226,7 +254,10 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, const 
   stats.seconds_covariance = WriteRun(results, options.directory);
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
-  if (!options.quiet) PrintSummary(stats, options);
+  if (!options.quiet) {
+    PrintSummary(stats, options);
+    WarnOfLostLoops(stats, options);
+  }
   const std::string undetermined = run.slam.Solver().DescribeUndetermined();
   if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
   WriteReport({options.directory}, options.directory + "/report.html");
@@ -312,6 +343,16 @@ void AddCompactCommand(CLI::App& app) {
                                            "Choose them from the first poses of the file, as if none were given");
   AddSampleOption(*command, options->sample)->excludes(file);
   file->excludes(sampled);
+  command
+      ->add_option("--max-registrations", options->max_registrations,
+                   "Links tried per pose, at most; those that promise the most information come first")
+      ->check(CLI::PositiveNumber.description(""))
+      ->type_name("N")
+      ->capture_default_str();
+  AddChoice(*command, "--record", options->record,
+            {{"none", Record::kNone}, {"decisions", Record::kDecisions}, {"candidates", Record::kCandidates}},
+            "What decisions.csv and decisions.jsonl keep of the search at every pose: counts, the links that were tried, "
+            "or the best of those not tried too");
   AddInnovationOptions(*command, options->innovation_quantile);
   AddRobustOptions(*command, options->robust);
   AddChoice(*command, "--composition", options->composition,

@@ -54,8 +54,12 @@ void WriteDecisionLines(const std::vector<Decision>& decisions, const std::strin
           << ",\"gain_nats\":" << JsonNumber(c.gain) << ",\"measured_gain_nats\":" << JsonNumber(c.measured_gain)
           << ",\"tried\":" << JsonFlag(c.tried) << ",\"accepted\":" << JsonFlag(c.accepted)
           << ",\"innovation\":" << JsonNumber(c.innovation)
-          << ",\"factor\":" << (c.factor ? std::to_string(c.factor->value) : "null") << '}';
+          << ",\"factor\":" << (c.factor ? std::to_string(c.factor->value) : "null");
+      if (c.carried_from) out << ",\"carried_from\":" << c.carried_from->value;
+      out << '}';
     }
+    out << "],\"candidates_found\":" << d.candidates_found << ",\"revived\":[";
+    for (std::size_t k = 0; k < d.revived.size(); ++k) out << (k > 0 ? "," : "") << d.revived[k].value;
     out << "]}\n";
   }
   file.Commit();

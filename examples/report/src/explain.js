@@ -16,6 +16,7 @@ export function verdictOf(run, k) {
 
 export function verdictInShort(run, k) {
   const verdict = verdictOf(run, k);
+  if (verdict === 'redundant' && run.kept[k]) return 'back for a later loop';
   if (verdict === 'redundant' && run.stats.strategy === 'rfpfl') return 'not drawn';
   return kShort[verdict] ?? verdict ?? '';
 }
@@ -41,6 +42,7 @@ export function explain(run, k) {
     case 'informative':
       return `Even the least informative link to a kept pose would bring ${nats(gain)}, more than the threshold of ${nats(threshold)}: the place is not known well enough from the poses around.`;
     case 'redundant':
+      if (run.kept[k]) return 'It was dropped at first. A later loop led to it and told more than could be carried along its odometry, so it came back into the map.';
       if (run.stats.strategy === 'rfpfl') return 'The lot did not fall on this pose; its odometry goes into that of the next kept one.';
       return `The least informative link to a kept pose would bring only ${nats(gain)}, not more than the threshold of ${nats(threshold)}: the kept poses know this place already. Its odometry goes into that of the next kept pose.`;
     case 'drawn': return 'The lot fell on this pose: strategy rfpfl keeps poses at random.';
@@ -49,7 +51,7 @@ export function explain(run, k) {
 }
 
 // In a replay the registration is the file, from images it is the verifier.
-const failed = (run) => (run.stats.frames === undefined ? {word: 'the file has no such link', why: 'asked for, but no edge of the file joins the two poses'}
+const failed = (run) => (run.stats.frames === undefined ? {word: 'the file has no such link', why: 'no edge of the file joins the two poses'}
   : {word: 'registration failed', why: 'asked for, but the images of the two poses gave no motion'});
 
 // What became of a candidate [pose, probability, gain, measured, accepted, innovation, tried]: {word, why}. Runs of before did
@@ -61,7 +63,7 @@ export function outcome(run, candidate) {
   if (!isNumber(measured)) {
     const low = isNumber(gain) && isNumber(threshold) && gain <= threshold && gain > 0;
     if (low && !tried) return {word: 'too little gain', why: `expected ${nats(gain)}, at most the threshold of ${nats(threshold)}: not registered`};
-    return tried === 0 ? {word: 'not registered', why: 'others came first, and after them it was not worth it'} : failed(run);
+    return tried === 0 && run.stats.frames !== undefined ? {word: 'not registered', why: 'others came first, and after them it was not worth it'} : failed(run);
   }
   if (isNumber(threshold) && measured <= threshold) {
     return {word: 'too little gain', why: `measured ${nats(measured)}, at most the threshold of ${nats(threshold)}`};
