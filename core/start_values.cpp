@@ -48,7 +48,10 @@ class Comparison {
     for (Start& start : starts_) {
       if (start.trial.unavailable.empty() && !start.trial.same) running.push_back(&start);
     }
-    if (running.empty()) throw std::invalid_argument(starts_[1].trial.unavailable);
+    if (running.empty()) {
+      if (starts_[1].is_beyond_numbers) throw NumericalError(starts_[1].trial.unavailable);
+      throw std::invalid_argument(starts_[1].trial.unavailable);
+    }
     std::stable_sort(running.begin(), running.end(),
                      [](const Start* a, const Start* b) { return a->trial.cost < b->trial.cost; });
     if (running.size() > 1) Compete(running);
@@ -57,6 +60,7 @@ class Comparison {
 
  private:
   struct Start {
+    bool is_beyond_numbers = false;  // and so unavailable
     StartTrial trial;
     std::vector<Pose> values, best;  // the best is empty while it is where the values are
     double cost = 0;                 // at the values
@@ -72,7 +76,8 @@ class Comparison {
       double chi2 = 0;
       start.cost = problem_.Cost(start.values, chi2);
       start.trial.cost_at_start = start.trial.cost = start.cost;
-      if (!std::isfinite(start.cost)) start.trial.unavailable = "its chi2 is not finite";
+      start.is_beyond_numbers = !std::isfinite(start.cost);
+      if (start.is_beyond_numbers) start.trial.unavailable = "chi2 is not finite at the initial values";
       for (const Start& other : starts_) {
         if (other.trial.unavailable.empty() &&
             std::abs(other.cost - start.cost) <= 1e-6 * std::max(other.cost, start.cost)) {
@@ -83,6 +88,7 @@ class Comparison {
       }
     } catch (const NumericalError& e) {
       start.trial.unavailable = e.what();
+      start.is_beyond_numbers = true;
     } catch (const std::invalid_argument& e) {
       start.trial.unavailable = e.what();
     }

@@ -173,9 +173,13 @@ TYPED_TEST(IncrementalPointsTest, TheGuardNeverLetsChi2Rise) {
         IncrementalSolver<TypeParam> solver(options);
         for (const auto& update : OnePosePerUpdate(random.graph, true)) {
           const auto before = solver.Estimates();
+          const Gauge<TypeParam> gauge = solver.CurrentGauge();
           const StepReport report = solver.Update(update);
           PoseGraph<TypeParam> graph = solver.Graph();
           for (std::size_t k = 0; k < before.size(); ++k) graph.SetPose(graph.Poses()[k].id, before[k]);
+          // Where priors begin to determine the frame, the map moves as a whole first.
+          const Gauge<TypeParam>& now = solver.CurrentGauge();
+          if (gauge.free_shifts != now.free_shifts || gauge.free_turns != now.free_turns) continue;
           const double chi2 = Chi2(graph);
           EXPECT_NEAR(chi2 - solver.Chi2(), report.actual_decrease, 1e-8 * (1 + chi2));
           if (guard) {

@@ -118,7 +118,7 @@ PoseGraph<Pose> Wander(std::vector<Pose>& truth) {
                                                information * Pose::Jacobian::Identity()});
     };
     if (k > 0) measure(k - 1, 200);
-    if (k > 20 && k % 6 == 0) measure(static_cast<int>(rng() % static_cast<unsigned>(k - 10)), k % 12 == 0 ? 20 : 1e5);
+    if (k > 20 && k % 6 == 0) measure(static_cast<int>(rng() % static_cast<unsigned>(k - 10)), k % 12 == 0 ? 5 : 1e5);
   }
   return graph;
 }
@@ -130,7 +130,7 @@ void ExpectLoopsToDroppedPoses() {
   const auto graph = Wander<Pose>(truth);
   CompactOptions<Pose> options;
   options.range.setConstant(4);
-  options.min_loop_gain = 0.5;
+  options.min_loop_gain = 0.3;
   options.min_pose_gain = 2 * Pose::kDof;
   StreamRun<Pose> streamed(options);
   streamed.AddAll(graph);

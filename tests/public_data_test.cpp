@@ -252,7 +252,10 @@ void RunFewPosesFewLinks(const std::string& path) {
   options.link_covariance = replay.LinkCovariance();
   CompactPoseSlam<Pose> slam(options);
   std::size_t kept = 0;
-  for (const auto& input : replay.Inputs()) kept += slam.AddPose(input).Kept();
+  for (const auto& input : replay.Inputs()) {
+    const Decision decision = slam.AddPose(input);
+    kept += (decision.Kept() ? 1 : 0) + decision.revived.size();
+  }
   EXPECT_TRUE(slam.Finish().Converged());
   EXPECT_EQ(slam.Solver().Graph().Poses().size(), kept);
   std::cout << path.substr(path.rfind('/') + 1) << ": kept " << kept << " of " << graph.Poses().size() << " poses, "

@@ -12,6 +12,7 @@
 #include "step_covariances.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
+#include "terse/core/gauge.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/replay.h"
 #include "terse/core/robust.h"
@@ -192,6 +193,8 @@ void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& res
   const Marginals<Pose> marginals = options.mode == Mode::kBatch
                                         ? Marginals<Pose>(graph, result.T_world_body, result.factor)
                                         : Marginals<Pose>(Weighted(graph, result.weights), result.T_world_body);
+  const std::string undetermined = DescribeUndetermined(graph, result.T_world_body);
+  if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
   std::vector<typename Pose::Jacobian> covariances;
   if (options.covariances == Covariances::kLast) {
     ids = {*std::max_element(ids.begin(), ids.end())};
