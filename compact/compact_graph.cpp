@@ -56,6 +56,7 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy) {
   options.strategy = strategy;
   const InformationScale scale = CalibrateInformation(graph).scale;
   const PoseGraph<Pose> scaled = scale.IsOne() ? graph : ScaleInformation(graph, scale);
+  if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
   SampleThresholds(scaled, options);
   CompactRun<Pose> run = CompactGraph(scaled, options);
   run.information_scale = scale;

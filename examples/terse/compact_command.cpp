@@ -29,7 +29,7 @@ struct CompactCommandOptions {
   std::string thresholds;  // a file to read them from
   bool auto_thresholds = false;
   std::optional<double> sample;  // share of the poses
-  std::optional<double> innovation_quantile = 0.9999;
+  std::optional<double> innovation_quantile = kInnovationQuantile;
   CompositionOrder composition = CompositionOrder::kFirst;
   AngleMeasure angle = AngleMeasure::kViewDirection;
   RobustOptions robust;
@@ -209,9 +209,12 @@ Calibrated<Pose> Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& bef
 }
 
 template <class Pose>
-void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, const CompactCommandOptions& options,
+void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, CompactCommandOptions options,
            double seconds_read, double start) {
   const Calibrated<Pose> calibrated = Calibrate(file_graph, before, options);
+  if (!calibrated.scale.IsOne() && options.innovation_quantile == kInnovationQuantile) {
+    options.innovation_quantile = kInnovationQuantileOfScaled;
+  }
   const PoseGraph<Pose>& graph = calibrated.scale.IsOne() ? file_graph : calibrated.graph;
   std::vector<PoseId> seen;
   for (const auto& pose : before.map.poses) seen.push_back(pose.id);

@@ -19,6 +19,10 @@ const char* Name(Strategy strategy);
 // What a Decision keeps of the search: nothing but counts, what was registered, or also the best of what was not.
 enum class Record { kNone, kDecisions, kCandidates };
 
+// CompactOptions::innovation_quantile unless told otherwise: with information as it is stated, and with information that
+// was scaled to agree with the residuals (information_scale.h), which is an estimate itself.
+inline constexpr double kInnovationQuantile = 0.9999, kInnovationQuantileOfScaled = 0.99999999;
+
 template <class Pose>
 struct CompactOptions {
   Strategy strategy = Strategy::kFpfl;
@@ -45,7 +49,7 @@ struct CompactOptions {
   CompositionOrder composition = CompositionOrder::kFirst;  // of the chains over dropped poses
   // A link whose innovation a correct one exceeds with less than the remaining probability is taken for wrong, before
   // its information counts. Absent: no test. AddPose of kApal and kRfpfl does not test.
-  std::optional<double> innovation_quantile = 0.9999;
+  std::optional<double> innovation_quantile = kInnovationQuantile;
   // So many refused links of different poses that agree with each other are right after all: it is the map that is off,
   // as after odometry that was worse than its covariance says. At least 2.
   int consensus = 3;
