@@ -335,6 +335,41 @@ TYPED_TEST(DistanceTest, ProbabilitiesMatchCounting) {
   }
 }
 
+// Against many random points of the box, and a fine descent from the nearest of them.
+TEST(DistanceToRange, IsTheLeastOverTheBox) {
+  Random rng(3);
+  for (int round = 0; round < 60; ++round) {
+    Displacement<SE2> d;
+    Matrix<3, 3> root;
+    for (int i = 0; i < 9; ++i) root(i / 3, i % 3) = Normal(rng);
+    d.covariance = 0.3 * root * root.transpose() + 0.01 * Matrix<3, 3>::Identity();
+    if (d.covariance(2, 2) >= 1) continue;
+    d.mean = Vector<3>(Uniform(rng, -6, 6), Uniform(rng, -6, 6), Uniform(rng, -2, 2));
+    const Vector<3> range(Uniform(rng, 0.2, 3), Uniform(rng, 0.2, 3), Uniform(rng, 0.1, 2));
+    const Matrix<3, 3> information = d.covariance.inverse();
+    const auto cost = [&](const Vector<3>& x) { return (x - d.mean).dot(information * (x - d.mean)); };
+    Vector<3> best = d.mean.cwiseMin(range).cwiseMax(-range);
+    double least = cost(best);
+    for (double width = 1; width > 1e-5; width *= 0.7) {
+      for (int k = 0; k < 60; ++k) {
+        Vector<3> x = best + width * range.cwiseProduct(NormalVector<3>(rng));
+        x = x.cwiseMin(range).cwiseMax(-range);
+        if (cost(x) < least) least = cost(best = x);
+      }
+    }
+    EXPECT_NEAR(DistanceToRange<SE2>(d, range), least, 1e-3 * least + 1e-9) << "round " << round;
+    EXPECT_LE(DistanceToRange<SE2>(d, range, 2 * least + 1), 2 * least + 1) << "round " << round;
+  }
+}
+
+TEST(DistanceToRange, SpecialCases) {
+  const Vector<4> range(1, 1, 1, 0.5);
+  EXPECT_EQ(DistanceToRange<SE3>(MakeDisplacement<4>(0.5, 0.2, 1), range), 0) << "inside";
+  EXPECT_GT(DistanceToRange<SE3>(MakeDisplacement<4>(0.5, 2, 0.1), range), 100) << "turned away";
+  EXPECT_EQ(DistanceToRange<SE3>(MakeDisplacement<4>(0.5, 2, 2), range), 0) << "the angle may be anything";
+  EXPECT_EQ(DistanceToRange<SE3>(MakeDisplacement<4>(0.5, 2, 0.1), Vector<4>(1, 1, 1, kPi)), 0) << "all angles do";
+}
+
 TEST(RangeProbabilities, AnglesWrap) {
   const Vector<4> range(1, 1, 1, 3.0);
   // pi is 0.1416 beyond the range on either side.

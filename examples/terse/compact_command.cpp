@@ -263,7 +263,6 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   }
   const std::string undetermined = run.slam.Solver().DescribeUndetermined();
   if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
-  WriteReport({options.directory}, options.directory + "/report.html");
 }
 
 // Of --continue: what is not given is as it was.
@@ -294,6 +293,8 @@ void Compact(CompactCommandOptions options) {
     RunOn(graph, TakeBefore<Pose>(before, options), options, seconds_read, start);
   };
   AddPathToErrors(options.path, [&] { std::visit(run, file.graph); });
+  // Read back from the files, when the run is no longer in memory.
+  WriteReport({options.directory}, options.directory + "/report.html");
 }
 
 }  // namespace
