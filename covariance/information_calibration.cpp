@@ -21,10 +21,15 @@ Band BandOf(const StatedInformation& stated) {
   return {0, kMeasuredBand};
 }
 
-bool IsOutside(const Band& band, const ScaleEstimate& found) {
-  if (!found.determined) return false;
-  const double slack = std::exp(2 * found.log_error);
-  return found.sigma_factor * slack < band.smaller || found.sigma_factor > band.larger * slack;
+// So many loops agree with information that is right, where the others are wrong. With standard deviations ten times
+// too small next to none would.
+constexpr double kAgreeing = 0.3;
+
+bool IsTooCertain(const Band& band, const ScaleEstimate& found) {
+  return found.determined && found.sigma_factor > band.larger * std::exp(2 * found.log_error);
+}
+bool IsTooCautious(const Band& band, const ScaleEstimate& found) {
+  return found.determined && found.sigma_factor * std::exp(2 * found.log_error) < band.smaller;
 }
 
 std::array<const ScaleEstimate*, 4> All(const InformationEstimate& estimate) {
@@ -79,18 +84,25 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
     out.message = "the residuals cannot tell whether the information is right (" + found.failure + ")";
     return out;
   }
-  bool any_determined = false, all_at_floor = true, is_outside = false;
+  bool any_determined = false, all_at_floor = true, is_too_certain = false, is_too_cautious = false;
   const Band band = BandOf(out.stated);
   for (const ScaleEstimate* group : All(found)) {
     any_determined = any_determined || group->determined;
     all_at_floor = all_at_floor && (group->at_floor || !group->determined);
-    is_outside = is_outside || IsOutside(band, *group);
+    is_too_certain = is_too_certain || IsTooCertain(band, *group);
+    is_too_cautious = is_too_cautious || IsTooCautious(band, *group);
   }
   if (!any_determined) {
     out.message = "the residuals cannot tell whether the information is right (too few loops)";
   } else if (all_at_floor) {
     out.message = "the measurements agree to rounding: their residuals cannot tell whether the information is right";
-  } else if (!is_outside) {
+  } else if (is_too_certain && found.agreeing_loops >= kAgreeing) {
+    out.verdict = InformationVerdict::kConsistent;
+    char share[32];
+    std::snprintf(share, sizeof(share), "%.0f %%", 100 * found.agreeing_loops);
+    out.message = std::string("the information is left as it is: ") + share +
+                  " of the loops agree with the odometry as both are stated, the others look wrong";
+  } else if (!is_too_certain && !is_too_cautious) {
     out.verdict = InformationVerdict::kConsistent;
     out.message = "the information is left as it is: residuals are " + Times(found) + " as large as it says";
   } else {

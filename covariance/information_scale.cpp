@@ -14,6 +14,7 @@
 #include "terse/core/initial_values.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/residual.h"
+#include "terse/core/robust.h"
 
 namespace terse {
 namespace {
@@ -116,6 +117,12 @@ struct Sample {
 };
 
 template <class Pose>
+struct UncertainStep {
+  Pose T;
+  typename Pose::Jacobian covariance;  // on the right
+};
+
+template <class Pose>
 Sample<Pose> TakeSample(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   Sample<Pose> sample;
   for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
@@ -164,6 +171,46 @@ std::vector<Pose> StartOf(const PoseGraph<Pose>& graph) {
   return composed;
 }
 
+// Each loop against the odometry alone, so that wrong ones do not matter to the others: in exponential coordinates what
+// a long chain knows is normal too. Covariances of a chain, seen from its start, add up.
+template <class Pose>
+double ShareOfAgreeingLoops(const Sample<Pose>& sample) {
+  using Jacobian = typename Pose::Jacobian;
+  const auto covariance = [](const RelativePoseFactor<Pose>& f) -> Jacobian {
+    return f.information.llt().solve(Jacobian::Identity());
+  };
+  const auto turned = [](const Jacobian& A, const Jacobian& S) -> Jacobian { return A * S * A.transpose(); };
+  const size_t poses = sample.graph.Poses().size();
+  std::vector<std::optional<UncertainStep<Pose>>> steps(poses);  // to pose k from the one before
+  for (size_t k = 0; k < sample.terms.size(); ++k) {
+    const auto& t = sample.terms[k];
+    auto& step = steps[At(std::max(t.first, t.second))];
+    if (std::abs(t.first - t.second) != 1 || step) continue;
+    const Pose& Z = t.factor.T_from_to;
+    step = t.first < t.second ? UncertainStep<Pose>{Z, covariance(t.factor)}
+                              : UncertainStep<Pose>{Z.Inverse(), turned(Z.Adjoint(), covariance(t.factor))};
+  }
+  std::vector<Pose> T(poses);
+  std::vector<Jacobian> P(poses, Jacobian::Zero());
+  for (size_t k = 1; k < poses; ++k) {
+    if (!steps[k]) return 0;  // no chain of odometry
+    T[k] = T[k - 1] * steps[k]->T;
+    P[k] = P[k - 1] + turned(T[k].Adjoint(), steps[k]->covariance);
+  }
+  const double most = ChiSquareQuantile(0.99, Pose::kDof);
+  long agreeing = 0;
+  for (size_t k = 0; k < sample.terms.size(); ++k) {
+    if (!sample.is_loop[k]) continue;
+    const auto& t = sample.terms[k];
+    const size_t i = At(t.first), j = At(t.second);
+    const Pose T_ij = T[i].Inverse() * T[j], difference = t.factor.T_from_to.Inverse() * T_ij;
+    const Jacobian of_chain = turned(T[j].Inverse().Adjoint(), i < j ? P[j] - P[i] : P[i] - P[j]);
+    const Jacobian sum = of_chain + turned(difference.Inverse().Adjoint(), covariance(t.factor));
+    agreeing += sum.llt().matrixL().solve(difference.Log()).squaredNorm() <= most;
+  }
+  return sample.loops > 0 ? static_cast<double>(agreeing) / static_cast<double>(sample.loops) : 0;
+}
+
 template <class Pose>
 class Estimator {
  public:
@@ -172,6 +219,7 @@ class Estimator {
     out_.poses = static_cast<long>(sample_.graph.Poses().size());
     out_.edges = static_cast<long>(sample_.terms.size());
     out_.loop_edges = sample_.loops;
+    out_.agreeing_loops = ShareOfAgreeingLoops(sample_);
     for (const bool is_loop : {false, true}) {
       const StatedKind& kind = is_loop && stated_.loops.edges > 0 ? stated_.loops : stated_.odometry;
       // In 2D and 3D alike a step of zero length (a robot that turns on the spot) leaves the floor to rotation.

@@ -250,6 +250,20 @@ TEST(InformationScale, ExactMeasurementsSayNothing) {
   }
 }
 
+// Stated rightly, as one constant; four wrong loops for ten true ones make the residuals huge.
+TEST(InformationScale, ManyWrongLoopsDoNotMakeItTooCertain) {
+  const auto expect_left_alone = [](const auto& graph) {
+    const auto found = CalibrateInformation(graph);
+    EXPECT_TRUE(found.scale.IsOne()) << found.message;
+    EXPECT_GT(found.estimate.agreeing_loops, 0.5);
+    EXPECT_LT(found.estimate.agreeing_loops, 0.9);
+  };
+  for (const std::uint64_t seed : {11, 12}) {
+    expect_left_alone(Simulated<SE2>(Scene::kManhattan, 300, seed, 40));
+    expect_left_alone(Simulated<SE3>(Scene::kSphere, 250, seed, 40));
+  }
+}
+
 TEST(InformationScale, BenchmarksAreLeftAlone) {
   TERSE_NEEDS(folder, "graphs");
   for (const char* name : {"3d/sphere2500.g2o", "2d/manhattan.g2o", "2d/intel.g2o", "real/copslam_KITTI_02_vo.g2o"}) {

@@ -93,6 +93,8 @@ struct InformationEstimate {
   // and loops then share one factor for translation and one for rotation, to which all squares count in full.
   bool has_copies = false;
   long loops_left_out = 0;  // contradicted by the others
+  // Share of the loops that agree with the odometry between their ends as both are stated (99 % of right ones would).
+  double agreeing_loops = 0;
   int iterations = 0;
   double normalized_chi2 = 0;  // of the sample at the optimum under the stated information, over its redundancy
   std::string failure;         // why there is no estimate, else empty
@@ -120,7 +122,8 @@ struct InformationCalibration {
 // Whether the residuals contradict the information so much that it is better scaled. Placeholders (StatedInformation):
 // a factor of 3 between stated and found standard deviations in any group. One constant for all edges, somebody's
 // guess: 20. Information that differs from edge to edge was computed by somebody: only if residuals are 10 times larger
-// than it says; too much caution is left alone. Beyond two standard errors in each case. What residuals cannot tell, a
+// than it says; too much caution is left alone. Beyond two standard errors in each case. Information is not called too
+// certain where a good part of the loops agree with it (InformationEstimate::agreeing_loops): the others are wrong then. What residuals cannot tell, a
 // tree's for example, stays as it is.
 template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options = {});
