@@ -48,7 +48,11 @@ class Comparison {
     for (Start& start : starts_) {
       if (start.trial.unavailable.empty() && !start.trial.same) running.push_back(&start);
     }
-    if (running.empty()) throw std::invalid_argument(starts_[1].trial.unavailable);
+    if (running.empty()) {
+      const Start& composed = starts_[1];
+      if (!composed.values.empty()) throw NumericalError("chi2 is not finite at any initial values");
+      throw std::invalid_argument(composed.trial.unavailable);
+    }
     std::stable_sort(running.begin(), running.end(),
                      [](const Start* a, const Start* b) { return a->trial.cost < b->trial.cost; });
     if (running.size() > 1) Compete(running);
