@@ -94,7 +94,9 @@ void IncrementalSolver<Pose>::PlanFrame(const GraphUpdate<Pose>& update, Plan& p
   const bool loses = std::any_of(update.removed.begin(), update.removed.end(),
                                  [&](FactorId id) { return PosesOf(graph_.FindFactor(id)->factor).count == 1; });
   const bool comes_more = count > gauge_found_at_ && count >= (1 + kWorthFinding) * gauge_found_at_;
-  if (!loses && (gauge_.IsDetermined() || !comes_more)) return;
+  // It reaches all of the graph, so the weak anchor beside position priors is no longer needed.
+  const bool is_first_pose_prior = absolute_.pose_priors == 0 && plan.absolute.pose_priors > 0;
+  if (!loses && !is_first_pose_prior && (gauge_.IsDetermined() || !comes_more)) return;
   const Placed measurements = AbsoluteAfter(update, plan);
   AbsoluteInformation<Pose> information;
   for (const auto& [factor, T_world_body] : measurements) information.Add(factor, T_world_body);
@@ -104,7 +106,8 @@ void IncrementalSolver<Pose>::PlanFrame(const GraphUpdate<Pose>& update, Plan& p
   plan.gauge_found_at = count;
   const bool less_is_free = found.free_shifts < gauge_.free_shifts || found.free_turns < gauge_.free_turns;
   const bool more_is_free = found.free_shifts > gauge_.free_shifts || found.free_turns > gauge_.free_turns;
-  if (!less_is_free && !loses && old > 0 && (more_is_free || HoldTheSame(found, gauge_))) return;
+  const bool stays = more_is_free || (HoldTheSame(found, gauge_) && !is_first_pose_prior);
+  if (!less_is_free && !loses && old > 0 && stays) return;
   plan.gauge = found;
   if (!less_is_free) return;
   if (const auto T_new_old = internal::AlignToAbsolute(measurements)) PlanMotion(update, *T_new_old, plan);

@@ -49,8 +49,9 @@ class Comparison {
       if (start.trial.unavailable.empty() && !start.trial.same) running.push_back(&start);
     }
     if (running.empty()) {
-      if (starts_[1].is_beyond_numbers) throw NumericalError(starts_[1].trial.unavailable);
-      throw std::invalid_argument(starts_[1].trial.unavailable);
+      const Start& composed = starts_[1];
+      if (!composed.values.empty()) throw NumericalError("chi2 is not finite at any initial values");
+      throw std::invalid_argument(composed.trial.unavailable);
     }
     std::stable_sort(running.begin(), running.end(),
                      [](const Start* a, const Start* b) { return a->trial.cost < b->trial.cost; });
@@ -60,7 +61,6 @@ class Comparison {
 
  private:
   struct Start {
-    bool is_beyond_numbers = false;  // and so unavailable
     StartTrial trial;
     std::vector<Pose> values, best;  // the best is empty while it is where the values are
     double cost = 0;                 // at the values
@@ -76,8 +76,7 @@ class Comparison {
       double chi2 = 0;
       start.cost = problem_.Cost(start.values, chi2);
       start.trial.cost_at_start = start.trial.cost = start.cost;
-      start.is_beyond_numbers = !std::isfinite(start.cost);
-      if (start.is_beyond_numbers) start.trial.unavailable = "chi2 is not finite at the initial values";
+      if (!std::isfinite(start.cost)) start.trial.unavailable = "chi2 is not finite at the initial values";
       for (const Start& other : starts_) {
         if (other.trial.unavailable.empty() &&
             std::abs(other.cost - start.cost) <= 1e-6 * std::max(other.cost, start.cost)) {
@@ -88,7 +87,6 @@ class Comparison {
       }
     } catch (const NumericalError& e) {
       start.trial.unavailable = e.what();
-      start.is_beyond_numbers = true;
     } catch (const std::invalid_argument& e) {
       start.trial.unavailable = e.what();
     }

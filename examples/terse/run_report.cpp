@@ -101,11 +101,15 @@ Json Decisions(const RunFolder& run) {
     out["refused"].push_back(decision.at("links_refused").get<int>());
     Json candidates = Json::array();
     for (const auto& c : decision.at("candidates")) {
-      const auto tried = c.find("tried");  // absent in folders of earlier versions
+      // Absent in folders of earlier versions.
+      const auto flag = [&c](const char* key) {
+        const auto found = c.find(key);
+        return found != c.end() && found->is_boolean() ? Json(found->get<bool>() ? 1 : 0) : Json();
+      };
       candidates.push_back({index.at(c.at("id").get<std::int64_t>()), Short(c.at("probability")),
                             Short(c.at("gain_nats")), Short(c.at("measured_gain_nats")),
                             c.at("accepted").get<bool>() ? 1 : 0, Short(c.at("innovation")),
-                            tried != c.end() && tried->is_boolean() ? Json(tried->get<bool>() ? 1 : 0) : Json()});
+                            flag("tried"), flag("measured")});
     }
     out["candidates"].push_back(std::move(candidates));
   }

@@ -63,17 +63,35 @@ const outcomes = async (test) => {
     const run = makeRun();
     Object.assign(run.stats, stats);
     run.decisions.candidates[60] = [[0, 0.5, 9, null, 0, null, 1], [3, 0.5, 9, null, 0, null, 0], [6, 0.5, 1, null, 0, null, 0],
-      [9, 0.5, 9, 1, 0, null, 1], [12, 0.5, 9, 8, 0, 60, 1], [15, 0.5, 9, null, 0, null, null]];
+      [9, 0.5, 9, 1, 0, null, 1], [12, 0.5, 9, 8, 0, 60, 1], [15, 0.5, 9, null, 0, null, null], [18, 0.5, 9, null, 0, null, 0, 1]];
     return run;
   };
   for (const [stats, nothing] of [[{}, 'the file has no such link'], [{frames: 120}, 'registration failed']]) {
     await withPage(test, report(make(stats)), kSmall, async (page) => {
       await slide(page, 60);
       const words = await page.locator('#decisions tbody .word').allInnerTexts();
-      assert.deepEqual(words.sort(), [nothing, nothing, 'not registered', 'too little gain', 'too little gain', 'refused'].sort());
+      assert.deepEqual(words.sort(), [nothing, nothing, 'not registered', 'not registered', 'too little gain', 'too little gain', 'refused'].sort());
       await noDashes(page);
     });
   }
+};
+
+// What was in range without a link in the file, whatever its gain; and a pose that came back.
+const ofAReplay = async (test) => {
+  const run = makeRun(), back = run.poses.kept.indexOf(0, 60);
+  run.decisions.candidates[60] = [[0, 0.5, 9, null, 0, null, 0, 0], [3, 0.5, 1, null, 0, null, 0, 0], [6, 0.5, 1, null, 0, null, 0, 1], [9, 0, 9, 8, 1, 2, 1, 1]];
+  await withPage(test, report(run), kSmall, async (page) => {
+    await slide(page, 60);
+    const words = await page.locator('#decisions tbody .word').allInnerTexts();
+    const nothing = 'the file has no such link';
+    assert.deepEqual(words.sort(), [nothing, nothing, 'too little gain', '✓ accepted'].sort());
+  });
+  const later = makeRun();
+  later.poses.kept[back] = 1;
+  await withPage(test, report(later), kSmall, async (page) => {
+    await slide(page, back);
+    assert.match(await text(page, '#decisions'), /kept\s*back for a later loop[^]*It was dropped at first/);
+  });
 };
 
 // At a step the panel tells that step's decision, and the map holds what there was then.
@@ -294,6 +312,7 @@ async function large(test, count) {
 
 export const suite = [
   ['the page is what its sources make', rebuilt], ['one run', single], ['it opens on the last kept pose', opening], ['what became of candidates', outcomes],
+  ['decisions of a replay', ofAReplay],
   ['decisions step by step', decisions], ['keyboard', keyboard],
   ['choosing a pose', choosing], ['two runs', comparison], ['two runs by share', byShare], ['2D starts from above', flat],
   ['camera coordinates', cameraCoordinates], ['without truth, covariances, steps', bare], ['holes in the data', holes], ['one pose and two', tiny],

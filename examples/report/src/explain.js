@@ -50,20 +50,22 @@ export function explain(run, k) {
   }
 }
 
+const kNoLink = {word: 'the file has no such link', why: 'in range, but no edge of the file joins the two poses'};
 // In a replay the registration is the file, from images it is the verifier.
-const failed = (run) => (run.stats.frames === undefined ? {word: 'the file has no such link', why: 'no edge of the file joins the two poses'}
+const failed = (run) => (run.stats.frames === undefined ? kNoLink
   : {word: 'registration failed', why: 'asked for, but the images of the two poses gave no motion'});
 
-// What became of a candidate [pose, probability, gain, measured, accepted, innovation, tried]: {word, why}. Runs of before did
-// not say what was tried.
+// What became of a candidate [pose, probability, gain, measured, accepted, innovation, tried, came]: {word, why}; came: it is a
+// loop that came with the pose. Runs of before did not say what was tried, or what came.
 export function outcome(run, candidate) {
-  const [, , gain, measured, accepted, innovation, tried] = candidate;
+  const [, , gain, measured, accepted, innovation, tried, came] = candidate;
   const threshold = run.thresholds.min_loop_gain;
   if (accepted) return {word: 'accepted', why: 'linked'};
   if (!isNumber(measured)) {
+    if (came === 0 && run.stats.frames === undefined) return kNoLink;
     const low = isNumber(gain) && isNumber(threshold) && gain <= threshold && gain > 0;
     if (low && !tried) return {word: 'too little gain', why: `expected ${nats(gain)}, at most the threshold of ${nats(threshold)}: not registered`};
-    return tried === 0 && run.stats.frames !== undefined ? {word: 'not registered', why: 'others came first, and after them it was not worth it'} : failed(run);
+    return tried === 0 ? {word: 'not registered', why: 'others came first, and after them it was not worth it'} : failed(run);
   }
   if (isNumber(threshold) && measured <= threshold) {
     return {word: 'too little gain', why: `measured ${nats(measured)}, at most the threshold of ${nats(threshold)}`};
