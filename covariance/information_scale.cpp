@@ -28,6 +28,8 @@ constexpr double kCut = 4;            // expected squares, beyond which a residu
 constexpr double kStandsOut = 9;      // times the other loops' squares: loses weight
 constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of the robust kernel
 constexpr int kStepsTogether = 2;
+// Standard deviations that are stated too small by less than this leave most loops within the width above.
+constexpr double kFarLarger = 3;
 constexpr double kLeastRedundancy = 5;
 constexpr double kMostLogError = 0.35;
 // No sensor is better: of a step, and radians. Residuals below are rounding, or measurements that are copies of one
@@ -236,6 +238,7 @@ class Estimator {
     }
     start_ = StartOf(sample_.graph);
     Iterate(true);
+    TryAsStated();
     // What agrees better than any sensor is a copy of something else, and says nothing on how good the rest is: all
     // count then, and odometry cannot be told from loops.
     for (const Found& f : found_) out_.has_copies = out_.has_copies || f.estimate.at_floor;
@@ -254,15 +257,38 @@ class Estimator {
 
   static double Ratio(double floor, double stated) { return stated > 0 ? floor / stated : 0; }
 
-  void Iterate(bool is_robust) {
+  // Residuals far larger than stated come of bad information, or of so many wrong loops that they bend all residuals
+  // and none stands out. If truncated least squares keeps most loops at the information as stated, it is the others
+  // that are wrong: loops do not agree by chance.
+  void TryAsStated() {
+    double largest = 0;
+    for (const Found& f : found_) largest = std::max(largest, f.estimate.determined ? f.estimate.sigma_factor : 0);
+    if (!out_.failure.empty() || largest <= kFarLarger) return;
+    const auto found = found_;
+    const InformationEstimate out = out_;
+    const std::vector<Pose> start = start_;
+    start_ = ComputeInitialValues(sample_.graph, InitialValues::kCompose);  // wrong loops bend a relaxation
+    Iterate(true, true);
+    if (out_.failure.empty() && 2 * out_.loops_left_out < out_.loop_edges) {
+      out_.normalized_chi2 = out.normalized_chi2;  // without any doubt of loops
+      return;
+    }
+    found_ = found;
+    out_ = out;
+    start_ = start;
+  }
+
+  // `begins_suspicious`: some loops are taken for wrong from the first step on, and not more than half of them.
+  void Iterate(bool is_robust, bool begins_suspicious = false) {
     log_scale_.fill(0);
     for (auto& term : sample_.terms) term.weight = 1;
-    is_suspicious_ = false;
+    is_suspicious_ = begins_suspicious;
     steps_suspicious_ = 0;
     std::vector<Pose> values = start_;
     for (int k = 0; k < options_.max_iterations; ++k) {
       out_.iterations = k + 1;
       if (!Step(is_robust, k == 0, values)) return;
+      if (begins_suspicious && 2 * out_.loops_left_out >= out_.loop_edges) return;
       double largest = 0;
       for (const Found& f : found_) largest = std::max(largest, std::abs(f.step));
       const bool is_settled = !is_suspicious_ || steps_suspicious_ > kStepsTogether;
@@ -285,7 +311,7 @@ class Estimator {
       weighted.AddFactor(with_weight);
     }
     BatchOptions solve;
-    solve.max_iterations = is_first ? 50 : 10;
+    solve.max_iterations = is_first ? (is_suspicious_ ? 200 : 50) : 10;
     solve.relative_tolerance = 1e-4;
     if (is_suspicious_) {  // the kernel decides anew
       solve.robust.kernel = RobustKernel::kGnc;

@@ -19,7 +19,8 @@ void BindCandidate(py::module_& module) {
       .def_readonly("probability", &Candidate::probability, "Of being in range, least over the dimensions.")
       .def_readonly("gain", &Candidate::gain,
                     "Nats, with the expected covariance of a link; of a loop that came with the pose with its own.")
-      .def_readonly("tried", &Candidate::tried, "Whether it was registered.")
+      .def_readonly("measured", &Candidate::measured, "It is a loop that came with the pose.")
+      .def_readonly("tried", &Candidate::tried, "Whether it was registered or, if it came measured, tested.")
       .def_readonly("measured_gain", &Candidate::measured_gain,
                     "Nats, with the registered covariance; None if registration failed or was not tried.")
       .def_readonly("innovation", &Candidate::innovation,

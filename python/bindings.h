@@ -15,6 +15,7 @@ void BindSolve(pybind11::module_& module);
 void BindOptions(pybind11::module_& module);
 void BindIncremental(pybind11::module_& module);
 void BindIncrementalMarginals(pybind11::module_& module);
+void BindInformation(pybind11::module_& module);
 void BindDecision(pybind11::module_& module);
 void BindReplay(pybind11::module_& module);
 void BindCompact(pybind11::module_& module);

@@ -18,6 +18,7 @@ PYBIND11_MODULE(_terse, module) {
   BindOptions(module);
   BindIncremental(module);
   BindIncrementalMarginals(module);
+  BindInformation(module);
   BindDecision(module);
   BindReplay(module);
   BindCompact(module);

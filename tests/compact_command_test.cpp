@@ -223,7 +223,8 @@ TEST_F(CompactCommand, ThresholdsAreObeyed) {
       EXPECT_EQ(flag == "1", gain != "-" && std::stod(gain) > 1.25 && !outlier) << row[0];
     }
   }
-  // A loop that came with the pose is there, however unlikely the map takes it to be; only the search asks for the range.
+  // A loop that came with the pose is there, however unlikely the map takes it to be; only the search asks for the
+  // range.
   long searched = 0, unlikely = 0;
   for (const auto& decision : JsonLines("few/decisions.jsonl")) {
     for (const auto& candidate : decision["candidates"]) {
@@ -357,6 +358,124 @@ TEST_F(CompactCommand, WrongLoopsAreRefused) {
     EXPECT_EQ(refused(kernel), 0);
     EXPECT_LT(error(kernel), 0.5 * error("untested")) << kernel;
   }
+}
+
+// The unit matrix on all edges of a scene whose measurements are good to centimetres.
+TEST_F(CompactCommand, InformationThatNobodyEstimatedIsScaled) {
+  MakeScene("manhattan");
+  PoseGraph<SE2> given = ReadAs<SE2>("in.g2o"), plain;
+  for (const auto& node : given.Poses()) plain.AddPose(node.id);
+  for (const auto& node : given.Factors()) {
+    auto edge = std::get<RelativePoseFactor<SE2>>(node.factor);
+    edge.information.setIdentity();
+    plain.AddFactor(edge);
+  }
+  WriteG2o(plain, Path("plain.g2o"));
+  const std::string run = "compact plain.g2o --output ";
+  const Outcome outcome = Succeed(run + "scaled");
+  EXPECT_NE(outcome.err.find("terse: note: plain.g2o: the information is the unit matrix"), std::string::npos);
+  EXPECT_NE(outcome.err.find("(--calibrate-information off leaves it)"), std::string::npos) << outcome.err;
+  EXPECT_EQ(Succeed(run + "scaled --calibrate-information auto --quiet").err, "");
+  const auto found = JsonFile("scaled/stats.json")["information"];
+  EXPECT_EQ(found["verdict"], "contradicted");
+  EXPECT_TRUE(found["placeholder"]);
+  const auto scale = found["sigma_scale"];
+  for (const char* kind : {"odometry", "loops"}) {
+    // generate's 0.03 m and 0.02 rad, beside 1 m and 1 rad.
+    EXPECT_NEAR(scale[kind]["translation"].get<double>(), 0.03, 0.006) << kind;
+    EXPECT_NEAR(scale[kind]["rotation"].get<double>(), 0.02, 0.004) << kind;
+  }
+  EXPECT_EQ(JsonFile("scaled/graph.json")["sigma_scale"], scale);
+  EXPECT_EQ(
+      Read("scaled/compact.g2o").rfind("# information calibrated by terse: the input's standard deviations times ", 0),
+      0u);
+  // What is kept has the scaled information.
+  const auto kept = ReadAs<SE2>("scaled/compact.g2o");
+  for (const auto& node : kept.Factors()) {
+    const auto& edge = std::get<RelativePoseFactor<SE2>>(node.factor);
+    EXPECT_GT(edge.information(0, 0), 50) << edge.from.value << ' ' << edge.to.value;
+  }
+  Succeed(run + "left --calibrate-information off --quiet");
+  EXPECT_EQ(JsonFile("left/stats.json")["information"]["verdict"], "off");
+  EXPECT_FALSE(JsonFile("left/graph.json").contains("sigma_scale"));
+  EXPECT_NE(Read("left/compact.g2o").front(), '#');
+  // A map goes on with its scales, whatever is asked for; one that was left goes on as it is.
+  for (const std::string& folder : {std::string("scaled"), std::string("left")}) {
+    Succeed("compact plain.g2o --continue " + folder + " --output more --quiet");
+    const auto more = JsonFile("more/stats.json")["information"];
+    EXPECT_EQ(more["verdict"], "continued");
+    EXPECT_EQ(more["sigma_scale"], JsonFile(folder + "/stats.json")["information"]["sigma_scale"]);
+    EXPECT_EQ(JsonFile("more/graph.json").contains("sigma_scale"), folder == "scaled");
+  }
+  // Information that agrees with the residuals is left as it is.
+  Succeed("compact in.g2o --output agrees --quiet");
+  EXPECT_EQ(JsonFile("agrees/stats.json")["information"]["verdict"], "consistent");
+  ExpectFailure(run + "out --calibrate-information on", 2, "--calibrate-information");
+}
+
+TEST_F(CompactCommand, RegistrationsAreBounded) {
+  MakeScene("manhattan");
+  const auto most = [&](const std::string& folder) {
+    long out = 0;
+    for (const auto& d : JsonLines(folder + "/decisions.jsonl")) out = std::max<long>(out, d["registrations_tried"]);
+    return out;
+  };
+  const std::string run = "compact in.g2o --min-loop-gain 0.01 --range 9 9 1 --min-pose-gain 3 --quiet --output ";
+  Succeed(run + "one --max-registrations 1");
+  Succeed(run + "two --max-registrations 2");
+  Succeed(run + "default");
+  EXPECT_EQ(most("one"), 1);
+  EXPECT_EQ(most("two"), 2);
+  EXPECT_GE(most("default"), 2);
+  EXPECT_LE(most("default"), 8);
+  EXPECT_LE(JsonFile("one/stats.json")["links_kept"], JsonFile("default/stats.json")["links_kept"]);
+  for (const std::string count : {"0", "-1", "x"})
+    ExpectFailure(run + "out --max-registrations " + count, 2, "--max-registrations");
+}
+
+TEST_F(CompactCommand, WhatIsRecordedChangesNothingElse) {
+  MakeScene("manhattan");
+  std::map<std::string, long> untried, tried;
+  for (const std::string record : {"none", "decisions", "candidates"}) {
+    Succeed("compact in.g2o --quiet --output " + record + " --record " + record);
+    EXPECT_EQ(Read(record + "/compact.g2o"), Read("none/compact.g2o"));
+    const auto lines = JsonLines(record + "/decisions.jsonl"), fewest = JsonLines("none/decisions.jsonl");
+    ASSERT_EQ(lines.size(), fewest.size());
+    for (std::size_t k = 0; k < lines.size(); ++k) {
+      for (const char* key : {"kept", "verdict", "pose_gain_nats", "registrations_tried", "links_accepted",
+                              "candidates_found", "revived"})
+        EXPECT_EQ(lines[k][key], fewest[k][key]) << key;
+      long others = 0;
+      for (const auto& candidate : lines[k]["candidates"]) ++(candidate["tried"] ? tried[record] : others);
+      EXPECT_LE(others, 16);
+      untried[record] += others;
+    }
+  }
+  EXPECT_EQ(untried["none"] + tried["none"] + untried["decisions"], 0);
+  EXPECT_EQ(tried["decisions"], JsonFile("decisions/stats.json")["registrations_tried"]);
+  EXPECT_EQ(tried["candidates"], tried["decisions"]);
+  EXPECT_GT(untried["candidates"], 0);
+  ExpectFailure("compact in.g2o --output out --record all", 2, "--record");
+}
+
+TEST_F(CompactCommand, LostLoopsAreToldWithTheCause) {
+  Succeed("generate manhattan --poses 300 --output in.g2o --ground-truth in.tum");
+  const std::string run = "compact in.g2o --ground-truth in.tum --output out ";
+  const Outcome good = Succeed(run);
+  EXPECT_EQ(good.err, "");
+  const auto errors = JsonFile("out/stats.json")["errors"];
+  char line[128];
+  std::snprintf(line, sizeof(line), "ATE %.4g m, %.4g deg against in.tum\n", errors["ate_m"].get<double>(),
+                errors["ate_deg"].get<double>());
+  EXPECT_NE(good.out.find(line), std::string::npos) << good.out;
+  EXPECT_EQ(Succeed("compact in.g2o --output out").out.find("ATE"), std::string::npos) << "no truth, no error";
+  EXPECT_EQ(Succeed(run + "--min-loop-gain 1e9").err,
+            "terse: warning: 0 of 393 loops are in the map; the others tell less than --min-loop-gain 1e+09 nats\n");
+  const std::string distrusted = Succeed(run + "--min-loop-gain 1 --innovation-quantile 0.01").err;
+  EXPECT_NE(distrusted.find(" disagree with it by more than the innovation test allows"), std::string::npos)
+      << distrusted;
+  EXPECT_EQ(Succeed(run + "--min-loop-gain 1e9 --quiet").err, "");
+  EXPECT_EQ(Succeed("compact in.g2o --strategy apal --output out --min-loop-gain 1e9").err, "") << "takes all";
 }
 
 TEST_F(CompactCommand, OptionsThatContradictEachOther) {

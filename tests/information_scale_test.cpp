@@ -128,6 +128,32 @@ TEST(InformationScale, RightInformationIsLeftAlone) {
   ExpectUntouched<SE3>(kSpatial);
 }
 
+// A third of all loops. They bend every residual, so none stands out of the others.
+template <class Pose>
+void ExpectWrongLoopsAreFound(Scene scene, std::uint64_t seed) {
+  SCOPED_TRACE(::testing::Message() << Pose::kDim << "D, seed " << seed);
+  const auto clean = Simulated<Pose>(scene, 300, seed), graph = Simulated<Pose>(scene, 300, seed, 50);
+  const auto wrong = static_cast<long>(graph.Factors().size() - clean.Factors().size());
+  ASSERT_GT(3 * wrong, static_cast<long>(graph.Factors().size() - graph.Poses().size()) - 3);
+  const auto found = CalibrateInformation(graph);
+  EXPECT_EQ(found.verdict, InformationVerdict::kConsistent) << found.message;
+  EXPECT_NEAR(static_cast<double>(found.estimate.loops_left_out), static_cast<double>(wrong),
+              0.05 * static_cast<double>(wrong));
+  // Information that is really too certain leaves most loops outside: it is scaled.
+  const InformationScale certain{{1 / 30.0, 1 / 30.0}, {1 / 30.0, 1 / 30.0}};
+  const auto scaled = CalibrateInformation(ScaleInformation(clean, certain));
+  EXPECT_EQ(scaled.verdict, InformationVerdict::kContradicted) << scaled.message;
+  for (const KindEstimate& kind : {scaled.estimate.odometry, scaled.estimate.loops}) {
+    ExpectNear(kind.translation, 30, std::log(1.3), "translation");
+    ExpectNear(kind.rotation, 30, std::log(1.3), "rotation");
+  }
+}
+
+TEST(InformationScale, ManyWrongLoopsAreNotBadInformation) {
+  for (const std::uint64_t seed : {1, 2, 3}) ExpectWrongLoopsAreFound<SE2>(Scene::kManhattan, seed);
+  ExpectWrongLoopsAreFound<SE3>(Scene::kTorus, 4);
+}
+
 // Each group by a factor of its own.
 TEST(InformationScale, KnownFactorsComeBack) {
   const InformationScale factors{{4, 0.2}, {0.3, 6}};

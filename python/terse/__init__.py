@@ -22,6 +22,7 @@ from ._terse import (
     IncrementalMarginals,
     IncrementalOptions,
     IncrementalSolver,
+    InformationCalibration,
     KittiError,
     LinkDecision,
     Marginals,
@@ -37,6 +38,7 @@ from ._terse import (
     Trajectory,
     UnobservableError,
     __version__,
+    calibrate_information,
     evaluate,
     initial_values,
     read_graph,
@@ -53,6 +55,7 @@ from .run import Run, RunCandidate, RunDecision, read_run
 
 __all__ = [
     "__version__",
+    "calibrate_information",
     "Candidate",
     "CompactInput",
     "CompactOptions",
@@ -72,6 +75,7 @@ __all__ = [
     "IncrementalOptions",
     "IncrementalSolver",
     "initial_values",
+    "InformationCalibration",
     "KittiError",
     "LinkDecision",
     "Marginals",

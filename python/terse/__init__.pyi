@@ -15,6 +15,7 @@ from ._terse import (
     IncrementalMarginals as IncrementalMarginals,
     IncrementalOptions as IncrementalOptions,
     IncrementalSolver as IncrementalSolver,
+    InformationCalibration as InformationCalibration,
     KittiError as KittiError,
     LinkDecision as LinkDecision,
     Marginals as Marginals,
@@ -30,6 +31,7 @@ from ._terse import (
     Trajectory as Trajectory,
     UnobservableError as UnobservableError,
     __version__ as __version__,
+    calibrate_information as calibrate_information,
     evaluate as evaluate,
     initial_values as initial_values,
     read_graph as read_graph,
@@ -46,6 +48,7 @@ from .run import Run as Run, RunCandidate as RunCandidate, RunDecision as RunDec
 
 __all__ = [
     "__version__",
+    "calibrate_information",
     "Candidate",
     "CompactInput",
     "CompactOptions",
@@ -65,6 +68,7 @@ __all__ = [
     "IncrementalOptions",
     "IncrementalSolver",
     "initial_values",
+    "InformationCalibration",
     "KittiError",
     "LinkDecision",
     "Marginals",

@@ -39,12 +39,21 @@ def test_against_the_command(command, ellipse, tmp_path):
     np.testing.assert_allclose(covariances, run.covariances, rtol=1e-9, atol=1e-15)
 
 
+def without_loops(replay):
+    """The inputs of a replay for a registration: with loops nothing else is registered."""
+    inputs = list(replay)
+    for pose in inputs:
+        pose.loops = None
+    return inputs
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_callback_equals_the_replay(dimension, ellipse, thresholds):
+def test_a_callback_equals_the_replay_as_registration(dimension, ellipse, thresholds):
     graph = ellipse if dimension == 3 else square(3)[0]
     options = (thresholds if dimension == 3 else terse.select_thresholds(graph)).options()
     by_replay = terse.CompactPoseSlam(options)
-    expected = by_replay.run(terse.GraphReplay(graph))
+    replay = terse.GraphReplay(graph)
+    expected = [by_replay.add(pose, replay) for pose in without_loops(replay)]
 
     replay = terse.GraphReplay(graph)
     asked = []
@@ -54,11 +63,111 @@ def test_a_callback_equals_the_replay(dimension, ellipse, thresholds):
         return replay(candidate, current)
 
     by_callback = terse.CompactPoseSlam(options)
-    decisions = [by_callback.add(pose, register) for pose in replay]
+    decisions = [by_callback.add(pose, register) for pose in without_loops(replay)]
     assert reasons(decisions) == reasons(expected)
     assert len(asked) == sum(d.registrations_tried for d in expected) > 0
+    assert by_replay.links_kept > 0 and not any(c.measured for d in expected for c in d.candidates)
     assert by_callback.finish().chi2 == by_replay.finish().chi2
     np.testing.assert_array_equal(by_callback.trajectory("v1").poses, by_replay.trajectory("v1").poses)
+
+
+def test_loops_take_the_place_of_the_registration(ellipse, thresholds):
+    replay, expected = terse.GraphReplay(ellipse), terse.CompactPoseSlam(thresholds.options())
+    assert sum(len(pose.loops) for pose in replay) == replay.links_offered
+
+    def register(candidate, current):
+        raise AssertionError("asked, though the loops are given")
+
+    slam = terse.CompactPoseSlam(thresholds.options())
+    decisions = [slam.add(pose, register) for pose in replay]
+    assert reasons(decisions) == reasons(expected.run(replay)) and slam.links_kept > 0
+    by_hand = terse.CompactPoseSlam(thresholds.options())
+    for pose in replay:
+        by_hand.add_pose(pose.pose_id, pose.odometry, T_world_body=pose.T_world_body, loops=pose.loops)
+    np.testing.assert_array_equal(by_hand.trajectory().poses, slam.trajectory().poses)
+    tried = [c for d in decisions for c in d.candidates if c.tried]
+    assert all(c.measured and c.measured_gain is not None for c in tried)
+    with pytest.raises(ValueError):
+        by_hand.add_pose(170, terse.RelativePose(169, 170, [0, 0, 1, 0, 0, 0, 1], information=np.ones(6)),
+                         loops=[terse.RelativePose(3, 4, [0, 0, 1, 0, 0, 0, 1], information=np.ones(6))])
+    assert by_hand.poses_seen == 170
+
+
+def corridor(loop_to, sigma=0.01):
+    """A straight drive of which poses 0 and 12 are kept, and then a loop to one of the others."""
+    slam = terse.CompactPoseSlam(terse.CompactOptions(
+        2, range=[100, 100, 3], link_covariance=[sigma**2] * 3, min_pose_gain=1e6, min_loop_gain=0.1))
+    slam.add_pose(0)
+    for k in range(1, 20):
+        step = terse.RelativePose(k - 1, k, [1, 0, 0], covariance=[0.01, 0.01, 1e-5])
+        loops = [terse.RelativePose(loop_to, k, [k - loop_to, 0, 0], covariance=[sigma**2] * 3)] if k == 19 else []
+        priors = [terse.PosePrior(k, [k, 0, 0], covariance=[10, 10, 1])] if k == 12 else []
+        decision = slam.add_pose(k, step, loops=loops, priors=priors)
+    return slam, decision, next(c for c in decision.candidates if c.tried)
+
+
+def test_a_loop_to_a_dropped_pose_is_carried_or_brings_it_back():
+    slam, decision, link = corridor(0)
+    assert (link.accepted, link.pose_id, link.carried_from) == (True, 0, None)
+    assert decision.revived == [] and slam.poses_kept == 3
+    # The chain of two steps costs a rough loop nothing, and a precise one nearly all.
+    slam, decision, link = corridor(2, sigma=0.6)
+    assert (link.measured, link.pose_id, link.carried_from) == (True, 0, 2)
+    assert decision.revived == [] and slam.poses_kept == 2 + link.accepted
+    slam, decision, link = corridor(6)
+    assert (link.accepted, link.pose_id, link.carried_from) == (True, 6, None)
+    assert decision.verdict == "loop_closed" and decision.revived == [6] and slam.kept_base(6) == 6
+    assert slam.poses_kept == 4
+
+
+def test_what_is_recorded_and_how_many_are_registered(ellipse, thresholds):
+    def run(loops=True, **options):
+        replay, slam = terse.GraphReplay(ellipse), terse.CompactPoseSlam(thresholds.options(**options))
+        return slam, [slam.add(pose, replay) for pose in (replay if loops else without_loops(replay))]
+
+    slam, everything = run()
+    assert any(not c.tried for d in everything for c in d.candidates)
+    for record in ("none", "decisions"):
+        twin, decisions = run(record=record)
+        assert [d.candidates_found for d in decisions] == [d.candidates_found for d in everything]
+        np.testing.assert_array_equal(twin.trajectory().poses, slam.trajectory().poses)
+        assert all(c.tried for d in decisions for c in d.candidates)
+        assert any(d.candidates for d in decisions) == (record == "decisions")
+    wide = run(range=[100, 100, 100, 4])[1]
+    assert max(sum(not c.tried for c in d.candidates) for d in wide) == 16 < max(d.candidates_found for d in wide)
+    for loops in (True, False):
+        for most in (1, 3):
+            tried = [d.registrations_tried for d in run(loops, max_registrations=most, min_loop_gain=0.01)[1]]
+            assert max(tried) == most
+    with pytest.raises(ValueError):
+        terse.CompactPoseSlam(thresholds.options(max_registrations=0))
+
+
+@pytest.mark.parametrize("factor", [1, 30])
+def test_calibrating_information(factor):
+    """Measurements that are 30 times better than one constant says; and such as it says."""
+    graph = square(9)[0]
+    stated = terse.PoseGraph(2)
+    stated.add_poses(graph.ids)
+    edges = graph.edges()
+    stated.add_edges(edges.from_ids, edges.to_ids, edges.T_from_to, covariance=np.array([0.05, 0.05, 0.01]) ** 2 * factor**2)
+    calibrated, report = terse.calibrate_information(stated)
+    after, before = calibrated.edges().information, stated.edges().information
+    assert calibrated.num_factors == stated.num_factors and report.loops_left_out == 0
+    if factor == 1:
+        assert report.verdict == "consistent" and report.odometry_scale == report.loop_scale == (1, 1)
+        np.testing.assert_array_equal(after, before)
+    else:
+        assert report.verdict == "contradicted" and "instead of the stated" in report.message
+        loops = np.abs(edges.from_ids - edges.to_ids) > 1
+        for scale, of in ((report.odometry_scale, ~loops), (report.loop_scale, loops)):
+            # A hundred loops do not tell well what comes of odometry and what of loops.
+            assert np.all(np.array(scale) * factor > 0.5) and np.all(np.array(scale) * factor < 2)
+            np.testing.assert_allclose(after[of][:, 0, 0] * scale[0] ** 2, before[of][:, 0, 0], rtol=1e-9)
+            np.testing.assert_allclose(after[of][:, 2, 2] * scale[1] ** 2, before[of][:, 2, 2], rtol=1e-9)
+    assert (report.odometry_estimate == report.odometry_scale) == (factor != 1)
+    with pytest.raises(ValueError):
+        terse.calibrate_information(terse.PoseGraph(2))
 
 
 def drive(slam, graph, register, first=0):
@@ -84,7 +193,7 @@ def test_an_exception_of_the_callback_passes_through(ellipse, thresholds):
         return replay(candidate, current)
 
     slam = terse.CompactPoseSlam(thresholds.options())
-    inputs = list(replay)
+    inputs = without_loops(replay)
     failed_at = None
     for pose in inputs:
         try:
