@@ -13,7 +13,7 @@ using namespace terse;
 int main(int argc, char** argv) try {
   const auto graph = std::get<PoseGraph<SE3>>(ReadGraph(argc > 1 ? argv[1] : "data/ellipse.g2o").graph);
 
-  // How far links reach and how much information is little: from the first 60 % of the poses.
+  // How far links reach and how much information is little: from a sample of the graph.
   const Thresholds<SE3> thresholds = SelectThresholds(graph);
   CompactOptions<SE3> options;
   options.range = thresholds.range;                  // metres, metres, metres, radians

@@ -321,8 +321,8 @@ void AddCompactCommand(CLI::App& app) {
       ->type_name("FILE");
   command
       ->add_option("--range", options->range,
-                   "Sensor range in metres and radians; by default chosen from the first 60 % of the file, as are "
-                   "the gains")
+                   "Sensor range in metres and radians; by default 1.5 times the longest link of the file, less one in "
+                   "a hundred")
       ->expected(3, 4)
       ->check(PositiveNumber())
       ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
@@ -344,7 +344,7 @@ void AddCompactCommand(CLI::App& app) {
           ->add_option("--thresholds", options->thresholds, "Read them from a thresholds.json; options above override")
           ->type_name("FILE");
   CLI::Option* sampled = command->add_flag("--auto-thresholds", options->auto_thresholds,
-                                           "Choose them from the first poses of the file, as if none were given");
+                                           "Choose them from a sample of the file, as if none were given");
   AddSampleOption(*command, options->sample)->excludes(file);
   file->excludes(sampled);
   command
