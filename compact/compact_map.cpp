@@ -229,6 +229,7 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   }
   std::sort(order.begin(), order.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
   for (const auto& [id, edge] : order) {
+    if (edge != nullptr && !edge->is_loop) update.odometry.push_back(update.factors.size());
     update.factors.push_back(edge != nullptr ? Factor<Pose>(edge->measured) : *prior.at(id.value));
   }
   const StepReport report = slam.solver_->Update(update);

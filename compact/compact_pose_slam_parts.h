@@ -65,6 +65,7 @@ struct CompactPoseSlam<Pose>::Evaluated {
   UncertainPose<Pose> T_pose_current;
   Candidate record;
   double worth = 0;  // nats that trying it promises
+  bool plausible = true;  // in range, as far as is known
 };
 
 template <class Pose>

@@ -77,7 +77,9 @@ template <class Pose>
 void CompactPoseSlam<Pose>::AddRevival(const Revival& revival, GraphUpdate<Pose>& update) const {
   update.poses.push_back({revival.pose, Estimate(revival.pose), false});
   update.factors.push_back(Measurement(revival.base, revival.pose, revival.T_base_pose, options_.composition));
+  update.odometry = {0};  // its factors are the first
   if (!revival.next) return;
+  update.odometry.push_back(1);
   update.factors.push_back(Measurement(revival.pose, *revival.next, revival.T_pose_next, options_.composition));
   update.removed.push_back(revival.replaced);
 }

@@ -143,15 +143,16 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
     const auto within = RangeProbabilities<Pose>(displacement, options_.range);
     e.record.probability = within.minCoeff();
     e.record.id = solver_->Graph().Poses()[At(ask.pose)].id;
+    const bool is_candidate =
+        e.record.probability > options_.probability ||
+        (plausible && DistanceToRange<Pose>(displacement, options_.range, most_distance_) <= most_distance_);
     if (offer != nullptr) {
+      e.plausible = is_candidate;
       e.record.measured = true;
       e.record.carried_from = offer->carried_from;
       e.record.gain = OfferGain(current, *offer, e.T_pose_current, options_.link_covariance);
       e.worth = e.record.gain;
     } else {
-      const bool is_candidate =
-          e.record.probability > options_.probability ||
-          (plausible && DistanceToRange<Pose>(displacement, options_.range, most_distance_) <= most_distance_);
       if (!is_candidate) continue;
       e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, options_.link_covariance);
       e.worth = within.prod() * e.record.gain;

@@ -60,9 +60,15 @@ void IncrementalSolver<Pose>::FindLoops(const GraphUpdate<Pose>& update, Plan& p
     return index < old ? update.poses.size() : At(index - old);
   };
   plan.is_loop.assign(update.factors.size(), 0);
+  std::vector<char> is_odometry(update.factors.size(), 0);
+  for (const size_t k : update.odometry) {
+    const FactorPoses ends = PosesOf(update.factors[k]);
+    is_odometry[k] = 1;
+    if (ends.count == 2) joined.Join(set(ends.first), set(ends.second));
+  }
   for (size_t k = 0; k < update.factors.size(); ++k) {
     const FactorPoses ends = PosesOf(update.factors[k]);
-    if (ends.count == 2) plan.is_loop[k] = joined.Join(set(ends.first), set(ends.second)) ? 0 : 1;
+    if (is_odometry[k] == 0 && ends.count == 2) plan.is_loop[k] = joined.Join(set(ends.first), set(ends.second)) ? 0 : 1;
   }
 }
 
