@@ -37,7 +37,7 @@ PoseGraph<SE2> Manhattan(long poses, std::uint64_t seed) {
 }
 
 TEST(StartValuesTest, GoodGraphsReachTheOptimumWithoutTryingEveryStart) {
-  for (const std::uint64_t seed : {1, 2, 3}) {
+  for (const std::uint64_t seed : {1U, 2U, 3U}) {
     SCOPED_TRACE(seed);
     const auto graph = Manhattan(1000, seed);
     const auto choice = ChooseStart(graph);
