@@ -119,8 +119,8 @@ bool CompactPoseSlam<Pose>::Accept(Current& current, Evaluated& candidate, const
   record.measured_gain = offer == nullptr || !offer->carried_from
                              ? InformationGain<Pose::kDof>(known.covariance, measured.covariance)
                              : OfferGain(current, *offer, known, measured.covariance - offer->carried);
-  // Where the sensor cannot have seen the pose nothing is believed because others say the same: of many wrong loops some
-  // agree by chance.
+  // Where the sensor cannot have seen the pose nothing is believed because others say the same: of many wrong loops
+  // some agree by chance.
   const bool good = PassesTests(candidate.plausible ? &current : nullptr, known, measured, record);
   LogLink(record.id, current.input->id, record, good);
   if (IsRefused(record)) ++decision.links_refused;

@@ -64,7 +64,7 @@ struct CompactPoseSlam<Pose>::Evaluated {
   Ask ask;
   UncertainPose<Pose> T_pose_current;
   Candidate record;
-  double worth = 0;  // nats that trying it promises
+  double worth = 0;       // nats that trying it promises
   bool plausible = true;  // in range, as far as is known
 };
 

@@ -35,9 +35,8 @@ UncertainPose<Pose> CompactPoseSlam<Pose>::DisplacementAt(int pose, int base, co
   const Pose T_point = points[At(pose)].Inverse() * points[At(base)];
   const Pose T_pose_base = solver_->EstimateAt(pose).Inverse() * solver_->EstimateAt(base);
   return {T_pose_base,
-          MoveCovariance<Pose>(
-              terse::RelativeCovariance<Pose>(T_point, marginal[At(pose)], cross, marginal[At(base)]), T_point,
-              T_pose_base)};
+          MoveCovariance<Pose>(terse::RelativeCovariance<Pose>(T_point, marginal[At(pose)], cross, marginal[At(base)]),
+                               T_point, T_pose_base)};
 }
 
 // Makes the displacements from all kept poses to `base` ready. They hold until the factor changes; what hangs on base
@@ -164,8 +163,8 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
 
 #define TERSE_INSTANTIATE(Pose)                                                                              \
   template void CompactPoseSlam<Pose>::UpdateCovariances();                                                  \
-  template UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int, int) const;                      \
-  template UncertainPose<Pose> CompactPoseSlam<Pose>::DisplacementAt(int, int, const Jacobian&) const;                     \
+  template UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int, int) const;                     \
+  template UncertainPose<Pose> CompactPoseSlam<Pose>::DisplacementAt(int, int, const Jacobian&) const;       \
   template void CompactPoseSlam<Pose>::UpdateSearch(int);                                                    \
   template double CompactPoseSlam<Pose>::OfferGain(const Current&, const Offer&, const UncertainPose<Pose>&, \
                                                    const Jacobian&) const;                                   \

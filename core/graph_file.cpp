@@ -28,7 +28,7 @@ constexpr TagLayout kLayouts[] = {
     // The same, and the point of the body in its frame: px py [pz].
     {"EDGE_PRIOR_SE2_XY_LEVER", TagFamily::kG2o, 2, TagKind::kLeverPositionPrior, 8},
     {"EDGE_PRIOR_SE3_XYZ_LEVER", TagFamily::kG2o, 3, TagKind::kLeverPositionPrior, 13},
-    {"PARAMS_SE3OFFSET", TagFamily::kG2o, 0, TagKind::kOffset, 8},            // id, pose
+    {"PARAMS_SE3OFFSET", TagFamily::kG2o, 0, TagKind::kOffset, 8},  // id, pose
 };
 
 bool IsTag(std::string_view text) {

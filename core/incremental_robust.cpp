@@ -68,7 +68,8 @@ void IncrementalSolver<Pose>::FindLoops(const GraphUpdate<Pose>& update, Plan& p
   }
   for (size_t k = 0; k < update.factors.size(); ++k) {
     const FactorPoses ends = PosesOf(update.factors[k]);
-    if (is_odometry[k] == 0 && ends.count == 2) plan.is_loop[k] = joined.Join(set(ends.first), set(ends.second)) ? 0 : 1;
+    if (is_odometry[k] == 0 && ends.count == 2)
+      plan.is_loop[k] = joined.Join(set(ends.first), set(ends.second)) ? 0 : 1;
   }
 }
 

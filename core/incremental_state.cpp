@@ -64,13 +64,13 @@ void PoseGraph<Pose>::Serialize(Archive& archive) {
 template <class Pose>
 template <class Archive>
 void IncrementalSolver<Pose>::Serialize(Archive& archive) {
-  auto& [options, graph, linearization_points, factor, slot_of_factor, factor_of_slot, W_of_slot, anchor_slot,
-         gauge, gauge_found_at, absolute, moved, possible_of, seen, possible_error, remembered, remembered_in, look,
+  auto& [options, graph, linearization_points, factor, slot_of_factor, factor_of_slot, W_of_slot, anchor_slot, gauge,
+         gauge_found_at, absolute, moved, possible_of, seen, possible_error, remembered, remembered_in, look,
          error_of_slot, error_sum, suspects, is_suspect, is_listed, updates, looked_at, cost_at_points, linear_cost,
          measured_scalars, eta, eta_variables, seconds_per_flop, deferred, seconds, watch, parked, is_loop,
          weight_of_slot, judged_chi2, touched, width] = *this;
-  archive(options, graph, linearization_points, factor, slot_of_factor, factor_of_slot, W_of_slot, anchor_slot,
-          gauge, gauge_found_at, absolute, moved, possible_of, seen, possible_error, remembered, remembered_in, look,
+  archive(options, graph, linearization_points, factor, slot_of_factor, factor_of_slot, W_of_slot, anchor_slot, gauge,
+          gauge_found_at, absolute, moved, possible_of, seen, possible_error, remembered, remembered_in, look,
           error_of_slot, error_sum, suspects, is_suspect, is_listed, updates, looked_at, cost_at_points, linear_cost,
           measured_scalars, eta, eta_variables, deferred, is_loop, weight_of_slot, judged_chi2, touched, width);
   archive.Each(parked, [&](Parked& loop) {

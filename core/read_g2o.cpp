@@ -1,7 +1,7 @@
 // g2o: https://github.com/RainerKuemmerle/g2o/wiki/File-Format. Rotation entries of 3D information are for the
 // vector part of the quaternion. EDGE_PRIOR_SE3_XYZ is ours, EDGE_SE3_PRIORXYZ hdl_graph_slam's: a position in the
-// world with its information. Ours too are EDGE_PRIOR_SE2_XY_LEVER and EDGE_PRIOR_SE3_XYZ_LEVER, which name the point of
-// the body that was there behind it.
+// world with its information. Ours too are EDGE_PRIOR_SE2_XY_LEVER and EDGE_PRIOR_SE3_XYZ_LEVER, which name the point
+// of the body that was there behind it.
 
 #include <cmath>
 

@@ -2,6 +2,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include "information_probe.h"
 #include "terse/covariance/information_scale.h"
 
 namespace terse {
@@ -24,6 +25,8 @@ Band BandOf(const StatedInformation& stated) {
 // So many loops agree with information that is right, where the others are wrong. With standard deviations ten times
 // too small next to none would.
 constexpr double kAgreeing = 0.3;
+// With fewer there are wrong loops, and residuals say nothing that this share does not.
+constexpr double kAllAgree = 0.9;
 
 bool IsTooCertain(const Band& band, const ScaleEstimate& found) {
   return found.determined && found.sigma_factor > band.larger * std::exp(2 * found.log_error);
@@ -56,6 +59,16 @@ std::string Times(const InformationEstimate& estimate) {
   return text;
 }
 
+std::string OthersAreWrong(double agreeing) {
+  char text[160];
+  std::snprintf(
+      text, sizeof(text),
+      "the information is left as it is: %.0f %% of the loops agree with the odometry as both are stated, the "
+      "others look wrong",
+      100 * agreeing);
+  return text;
+}
+
 std::string What(const StatedInformation& stated) {
   if (stated.IsPlaceholder() && stated.odometry.is_identity) return "the information is the unit matrix";
   if (stated.IsPlaceholder()) return "the information is a constant with implausible standard deviations";
@@ -78,6 +91,15 @@ template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   InformationCalibration out;
   out.stated = DescribeInformation(graph);
+  if (!out.stated.IsPlaceholder()) {
+    const double share = internal::ShareOfAgreeingLoops(graph, options);
+    if (share >= kAgreeing && share < kAllAgree) {
+      out.estimate.agreeing_loops = share;
+      out.verdict = InformationVerdict::kConsistent;
+      out.message = OthersAreWrong(share);
+      return out;
+    }
+  }
   out.estimate = EstimateInformationScale(graph, options);
   const InformationEstimate& found = out.estimate;
   if (!found.failure.empty()) {
@@ -98,10 +120,7 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
     out.message = "the measurements agree to rounding: their residuals cannot tell whether the information is right";
   } else if (is_too_certain && found.agreeing_loops >= kAgreeing) {
     out.verdict = InformationVerdict::kConsistent;
-    char share[32];
-    std::snprintf(share, sizeof(share), "%.0f %%", 100 * found.agreeing_loops);
-    out.message = std::string("the information is left as it is: ") + share +
-                  " of the loops agree with the odometry as both are stated, the others look wrong";
+    out.message = OthersAreWrong(found.agreeing_loops);
   } else if (!is_too_certain && !is_too_cautious) {
     out.verdict = InformationVerdict::kConsistent;
     out.message = "the information is left as it is: residuals are " + Times(found) + " as large as it says";

@@ -10,6 +10,7 @@
 
 #include "terse/core/block_cholesky.h"
 #include "terse/core/pose_graph.h"
+#include "terse/covariance/information_scale.h"
 
 namespace terse::internal {
 
@@ -29,6 +30,10 @@ struct BlockSquares {
 
 template <class Pose>
 BlockSquares SquaresOf(const typename Pose::Tangent& residual, const typename Pose::Jacobian& information);
+
+// Share of the loops of the graph's beginning that agree with the odometry between their ends as both are stated.
+template <class Pose>
+double ShareOfAgreeingLoops(const PoseGraph<Pose>& graph, const EstimateOptions& options);
 
 // `factor`: of the weighted terms, linearised at the values. By term, then by draw. Same seed, same draws.
 template <class Pose>

@@ -462,6 +462,13 @@ InformationEstimate EstimateInformationScale(const PoseGraph<Pose>& graph, const
 }
 
 template InformationEstimate EstimateInformationScale<SE2>(const PoseGraph<SE2>&, const EstimateOptions&);
+template <class Pose>
+double internal::ShareOfAgreeingLoops(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
+  return terse::ShareOfAgreeingLoops(TakeSample(graph, options));
+}
+template double internal::ShareOfAgreeingLoops<SE2>(const PoseGraph<SE2>&, const EstimateOptions&);
+template double internal::ShareOfAgreeingLoops<SE3>(const PoseGraph<SE3>&, const EstimateOptions&);
+
 template InformationEstimate EstimateInformationScale<SE3>(const PoseGraph<SE3>&, const EstimateOptions&);
 
 }  // namespace terse

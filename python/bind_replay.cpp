@@ -213,8 +213,8 @@ void BindThresholds(py::module_& module) {
            "CompactOptions with these thresholds; any of its attributes can be given by keyword.");
   module.def(
       "select_thresholds", &Select, py::arg("graph"), py::kw_only(), py::arg("probability") = 0.1,
-      py::arg("share") = 0.6, py::arg("most_poses") = 200, py::arg("angle") = "view",
-      py::arg("view_axis") = py::none(), py::arg("innovation_quantile") = py::none(), py::arg("progress") = py::none(),
+      py::arg("share") = 0.6, py::arg("most_poses") = 200, py::arg("angle") = "view", py::arg("view_axis") = py::none(),
+      py::arg("innovation_quantile") = py::none(), py::arg("progress") = py::none(),
       "Chooses the thresholds of compact pose SLAM from poses spread over a PoseGraph (Thresholds).\n\n"
       "share, most_poses: the sample, a share of the poses but no more than so many.\n"
       "angle, view_axis: as in CompactOptions. innovation_quantile: leave out loops that the innovation test would "

@@ -96,7 +96,8 @@ void WarnOfLostLoops(const Stats& stats, const CompactCommandOptions& options) {
   if (!distrusted && !uninformative) return;
   std::cerr << "terse: warning: " << kept << " of " << offered << " loops are in the map; ";
   if (distrusted) {
-    std::cerr << refused << " disagree with it by more than the innovation test allows: loops are wrong, or odometry is "
+    std::cerr << refused
+              << " disagree with it by more than the innovation test allows: loops are wrong, or odometry is "
               << "worse than its information says (--innovation-quantile, --no-innovation-test, --robust gnc)\n";
   } else {
     std::cerr << "the others tell less than --min-loop-gain "
@@ -353,10 +354,11 @@ void AddCompactCommand(CLI::App& app) {
       ->check(CLI::PositiveNumber.description(""))
       ->type_name("N")
       ->capture_default_str();
-  AddChoice(*command, "--record", options->record,
-            {{"none", Record::kNone}, {"decisions", Record::kDecisions}, {"candidates", Record::kCandidates}},
-            "What decisions.csv and decisions.jsonl keep of the search at every pose: counts, the links that were tried, "
-            "or the best of those not tried too");
+  AddChoice(
+      *command, "--record", options->record,
+      {{"none", Record::kNone}, {"decisions", Record::kDecisions}, {"candidates", Record::kCandidates}},
+      "What decisions.csv and decisions.jsonl keep of the search at every pose: counts, the links that were tried, "
+      "or the best of those not tried too");
   AddInnovationOptions(*command, options->innovation_quantile);
   AddRobustOptions(*command, options->robust);
   AddChoice(*command, "--composition", options->composition,

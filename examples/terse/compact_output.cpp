@@ -52,8 +52,8 @@ void WriteDecisionLines(const std::vector<Decision>& decisions, const std::strin
       const Candidate& c = d.candidates[k];
       out << (k > 0 ? "," : "") << "{\"id\":" << c.id.value << ",\"probability\":" << JsonNumber(c.probability)
           << ",\"gain_nats\":" << JsonNumber(c.gain) << ",\"measured_gain_nats\":" << JsonNumber(c.measured_gain)
-          << ",\"measured\":" << JsonFlag(c.measured) << ",\"tried\":" << JsonFlag(c.tried) << ",\"accepted\":" << JsonFlag(c.accepted)
-          << ",\"innovation\":" << JsonNumber(c.innovation)
+          << ",\"measured\":" << JsonFlag(c.measured) << ",\"tried\":" << JsonFlag(c.tried)
+          << ",\"accepted\":" << JsonFlag(c.accepted) << ",\"innovation\":" << JsonNumber(c.innovation)
           << ",\"factor\":" << (c.factor ? std::to_string(c.factor->value) : "null");
       if (c.carried_from) out << ",\"carried_from\":" << c.carried_from->value;
       out << '}';

@@ -108,8 +108,8 @@ Json Decisions(const RunFolder& run) {
       };
       candidates.push_back({index.at(c.at("id").get<std::int64_t>()), Short(c.at("probability")),
                             Short(c.at("gain_nats")), Short(c.at("measured_gain_nats")),
-                            c.at("accepted").get<bool>() ? 1 : 0, Short(c.at("innovation")),
-                            flag("tried"), flag("measured")});
+                            c.at("accepted").get<bool>() ? 1 : 0, Short(c.at("innovation")), flag("tried"),
+                            flag("measured")});
     }
     out["candidates"].push_back(std::move(candidates));
   }

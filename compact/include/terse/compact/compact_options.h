@@ -19,8 +19,8 @@ const char* Name(Strategy strategy);
 // What a Decision keeps of the search: nothing but counts, what was registered, or also the best of what was not.
 enum class Record { kNone, kDecisions, kCandidates };
 
-// CompactOptions::innovation_quantile unless told otherwise: with information as it is stated, and with information that
-// was scaled to agree with the residuals (information_scale.h), which is an estimate itself.
+// CompactOptions::innovation_quantile unless told otherwise: with information as it is stated, and with information
+// that was scaled to agree with the residuals (information_scale.h), which is an estimate itself.
 inline constexpr double kInnovationQuantile = 0.9999, kInnovationQuantileOfScaled = 0.99999999;
 
 template <class Pose>

@@ -90,8 +90,8 @@ class CompactPoseSlam {
   // The same for one end alone: the other may be a pose that is yet to come. Throws std::invalid_argument if `end` is
   // no end of the link or unknown.
   RelativePoseFactor<Pose> CarryEndToKept(PoseId end, const RelativePoseFactor<Pose>& link) const;
-  // A prior that comes late, on any pose seen. On a dropped pose it is carried to the kept one that the pose hangs on: a
-  // pose prior by composition, a position prior with the chain's translation as its lever arm, the chain's covariance
+  // A prior that comes late, on any pose seen. On a dropped pose it is carried to the kept one that the pose hangs on:
+  // a pose prior by composition, a position prior with the chain's translation as its lever arm, the chain's covariance
   // added to both. (As with CarryToKept, the chain's error is taken as independent.) Throws std::invalid_argument for
   // an unknown pose or a defective prior.
   FactorId AddPrior(const Factor<Pose>& prior);

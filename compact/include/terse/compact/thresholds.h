@@ -21,8 +21,8 @@ struct Thresholds {
 
 struct SampleOptions {
   double probability = 0.1;  // s
-  double share = 0.6;        // of the run's poses are looked at, spread over the run (the first 5000 poses of a longer one)
-  long most_poses = 200;     // but no more than so many
+  double share = 0.6;  // of the run's poses are looked at, spread over the run (the first 5000 poses of a longer one)
+  long most_poses = 200;  // but no more than so many
   DistanceOptions distance;
   // Loops whose innovation exceeds this quantile (CompactOptions::innovation_quantile) are left out of the sample: for
   // graphs with wrong loops, whose covariances are right. Absent: all loops are taken for true.

@@ -44,7 +44,7 @@ struct GraphUpdate {
   std::vector<FactorId> removed;
   // Positions in `factors` of relative factors that a robust kernel is not for, whatever they join: odometry. (Those
   // that bring a new pose are none of the kernel's in any case.)
-  std::vector<std::size_t> odometry;
+  std::vector<std::size_t> odometry = {};
 };
 
 template <class Pose>

@@ -41,7 +41,8 @@ struct StartOptions {
 };
 
 // O(V + E), the relaxation's two sparse factorisations, and one factorisation per step. Throws std::invalid_argument if
-// the graph is empty, or not connected and without a value for every pose; NumericalError if chi2 is finite at no start.
+// the graph is empty, or not connected and without a value for every pose; NumericalError if chi2 is finite at no
+// start.
 template <class Pose>
 StartChoice<Pose> ChooseStart(const PoseGraph<Pose>& graph, const StartOptions& options = {});
 

@@ -123,8 +123,8 @@ struct InformationCalibration {
 // a factor of 3 between stated and found standard deviations in any group. One constant for all edges, somebody's
 // guess: 20. Information that differs from edge to edge was computed by somebody: only if residuals are 10 times larger
 // than it says; too much caution is left alone. Beyond two standard errors in each case. Information is not called too
-// certain where a good part of the loops agree with it (InformationEstimate::agreeing_loops): the others are wrong then. What residuals cannot tell, a
-// tree's for example, stays as it is.
+// certain where a good part of the loops agree with it (InformationEstimate::agreeing_loops): the others are wrong
+// then. What residuals cannot tell, a tree's for example, stays as it is.
 template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options = {});
 

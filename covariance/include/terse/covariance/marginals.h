@@ -17,8 +17,8 @@ class Marginals final : public PoseMarginals<Pose> {
 
   // Factors the graph at the values (by pose index). Throws NumericalError if the system is singular.
   Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body);
-  // Takes a factor at hand (variable = pose index), as BatchResult holds it; an IncrementalSolver's is linearised at its
-  // LinearizationPoints(), which then have to be given too. Throws std::invalid_argument if the sizes differ.
+  // Takes a factor at hand (variable = pose index), as BatchResult holds it; an IncrementalSolver's is linearised at
+  // its LinearizationPoints(), which then have to be given too. Throws std::invalid_argument if the sizes differ.
   Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body, BlockCholesky<Pose::kDof> factor);
   Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body, BlockCholesky<Pose::kDof> factor,
             std::vector<Pose> linearization_points);
