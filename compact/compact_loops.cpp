@@ -15,9 +15,6 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
-// Failures are remembered for the steps in which their neighbours come up.
-constexpr size_t kMostFailed = 256;
-
 // The record of a decision stays small however many poses were in range: what was tried, and the best of the others.
 template <class Pose>
 void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>& options, Decision& decision) {
@@ -125,8 +122,6 @@ bool CompactPoseSlam<Pose>::Accept(Current& current, Evaluated& candidate, const
   LogLink(record.id, current.input->id, record, good);
   if (IsRefused(record)) ++decision.links_refused;
   if (!good) return false;
-  record.accepted = true;
-  ++decision.links_accepted;
   std::optional<Revival> revival;
   if (offer != nullptr && offer->carried_from && IsCostlyToCarry(*offer, known))
     revival = PlanRevival(*offer->carried_from);
@@ -138,6 +133,8 @@ bool CompactPoseSlam<Pose>::Accept(Current& current, Evaluated& candidate, const
   } else {
     record.factor = Keep(current, {link}).back();
   }
+  record.accepted = true;
+  ++decision.links_accepted;
   links_.back().gain = record.measured_gain;
   return true;
 }
@@ -226,10 +223,18 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated> 
     if (!link) {
       failed.push_back({best->record.id, current.input->id});
       failed_.push_back(failed.back());
-      if (failed_.size() > kMostFailed) failed_.erase(failed_.begin());
       continue;
     }
-    if (!Accept(current, *best, *link, decision)) continue;
+    try {
+      if (!Accept(current, *best, *link, decision)) continue;
+    } catch (const NumericalError& error) {  // with this link the map has no solution: it goes, the pose stays
+      best->record.outlier = true;
+      best->record.supported = false;
+      ++decision.links_refused;
+      internal::Log(options_.log, LogLevel::kInfo, "link ", best->record.id.value, " - ", current.input->id.value,
+                    " refused: ", error.what());
+      continue;
+    }
     // What only told the range has done so. A pose that came back is another one for loops to hang on.
     std::vector<Ask> rest;
     for (Evaluated& e : candidates) {

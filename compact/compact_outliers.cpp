@@ -10,9 +10,6 @@
 namespace terse {
 namespace {
 
-// A link that is supported finds its support among the last ones: they come from poses close behind each other, of
-// which each may have had several.
-constexpr std::size_t kMostRefused = 64;
 // A prediction that knows much less than the link measures agrees with anything: nats per degree of freedom.
 constexpr double kMostVagueness = 1;
 
@@ -65,7 +62,6 @@ template <class Pose>
 void CompactPoseSlam<Pose>::RememberRefused(const Current& current, PoseId candidate,
                                             const UncertainPose<Pose>& measured) {
   refused_.push_back({candidate, current.input->id, measured});
-  if (refused_.size() > kMostRefused) refused_.erase(refused_.begin());
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                               \

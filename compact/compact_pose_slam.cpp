@@ -18,6 +18,15 @@ namespace {
 using std::size_t;
 constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
+// A link that is supported finds its support among the last refused ones: they come from poses close behind each other,
+// of which each may have had several. Failures are remembered for the steps in which their neighbours come up.
+constexpr size_t kMostRefused = 64, kMostFailed = 256;
+
+template <class Item>
+void KeepNewest(size_t count, std::vector<Item>& items) {
+  if (items.size() > count) items.erase(items.begin(), items.end() - static_cast<long>(count));
+}
+
 template <class Pose>
 void CheckOptions(const CompactOptions<Pose>& o) {
   if (!(o.range.array() > 0).all() || !o.range.allFinite()) {
@@ -287,6 +296,8 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
     throw;
   }
   Remember(current);
+  KeepNewest(kMostRefused, refused_);
+  KeepNewest(kMostFailed, failed_);
   LogVerdict(decision);
   return decision;
 }

@@ -1,5 +1,6 @@
 #include "terse/compact/measurement_stream.h"
 
+#include <cmath>
 #include <stdexcept>
 #include <utility>
 
@@ -34,8 +35,8 @@ template <class Pose>
 std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFactor<Pose>& edge) {
   if (IsEmpty()) {
     CompactInput<Pose> next = Prepare(edge.to, edge);
-    OpenNext(Prepare(edge.from, std::nullopt));
-    std::vector<StreamOutcome> out = Close();
+    std::vector<StreamOutcome> out{slam_->AddPose(Prepare(edge.from, std::nullopt))};
+    Forget(edge.from);
     OpenNext(std::move(next));
     return out;
   }
@@ -78,7 +79,9 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddPrior(const Factor<Pose>&
 
 template <class Pose>
 void MeasurementStream<Pose>::SetValue(PoseId id, const Pose& T_world_body) {
-  if (!IsFinite(T_world_body)) throw std::invalid_argument("the value of " + Name(id) + " is not finite");
+  if (!std::isfinite(T_world_body.Log().sum())) {
+    throw std::invalid_argument("the value of " + Name(id) + " is beyond all numbers");
+  }
   if (slam_->HasSeen(id)) throw std::invalid_argument("the value of " + Name(id) + " comes after the pose was closed");
   (IsOpen(id) ? open_->T_world_body.emplace() : values_[id]) = T_world_body;
 }
@@ -118,15 +121,21 @@ CompactInput<Pose> MeasurementStream<Pose>::Prepare(PoseId id,
 
 template <class Pose>
 void MeasurementStream<Pose>::OpenNext(CompactInput<Pose> pose) {
-  values_.erase(pose.id);
-  fixed_.erase(pose.id);
+  Forget(pose.id);
   open_ = std::move(pose);
 }
 
 template <class Pose>
+void MeasurementStream<Pose>::Forget(PoseId id) {
+  values_.erase(id);
+  fixed_.erase(id);
+}
+
+template <class Pose>
 std::vector<StreamOutcome> MeasurementStream<Pose>::Close() {
-  const CompactInput<Pose> input = *std::exchange(open_, std::nullopt);
-  return {slam_->AddPose(input)};
+  std::vector<StreamOutcome> out{slam_->AddPose(*open_)};
+  open_.reset();
+  return out;
 }
 
 template class MeasurementStream<SE2>;

@@ -1,6 +1,8 @@
 #include "terse/core/atomic_file.h"
 
+#include <dirent.h>
 #include <fcntl.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -12,14 +14,17 @@
 #include <cstring>
 #include <filesystem>
 #include <locale>
-#include <system_error>
+#include <random>
+#include <utility>
 
 namespace terse {
 namespace {
 
 namespace fs = std::filesystem;
 
-std::string Reason(int error) { return std::system_category().message(error); }
+FileError CannotWrite(const std::string& path, int error) {
+  return FileError(path, 0, "cannot write: " + SystemReason(error));
+}
 
 // The temporaries that a signal handler has to remove. Slots are claimed by compare-and-swap, so neither side
 // ever waits. A slot that the handler took (kRemoving) is never used again.
@@ -89,15 +94,42 @@ std::string ResolveTarget(const std::string& path) {
   return path;
 }
 
-bool FlushToDisk(const std::string& path) {
-  const int descriptor = ::open(path.c_str(), O_WRONLY | O_CLOEXEC);
-  if (descriptor < 0) return false;
-  // Some file systems have no fsync (EINVAL): the rename is atomic all the same.
-  const bool flushed = ::fsync(descriptor) == 0 || errno == EINVAL || errno == ENOTSUP;
-  const int error = errno;
-  ::close(descriptor);
-  errno = error;
-  return flushed;
+constexpr char kMark[] = ".tmp-";
+constexpr std::size_t kDigits = 16;
+
+// Nobody can have planted a file under a name that nobody can guess.
+std::string TemporaryName(const std::string& target) {
+  static constexpr char kHex[] = "0123456789abcdef";
+  std::random_device random;
+  std::string out = target + kMark;
+  for (std::size_t k = 0; k < kDigits; ++k) out += kHex[random() & 15u];
+  return out;
+}
+
+bool IsTemporaryOf(const std::string& target, const std::string& name) {
+  const std::string start = target + kMark;
+  return name.size() == start.size() + kDigits && name.compare(0, start.size(), start) == 0 &&
+         name.find_first_not_of("0123456789abcdef", start.size()) == std::string::npos;
+}
+
+bool Lock(int descriptor) { return ::flock(descriptor, LOCK_EX | LOCK_NB) == 0; }
+
+// A process that was killed left its temporary without the lock.
+void RemoveAbandoned(const fs::path& target) {
+  const std::string folder = target.has_parent_path() ? target.parent_path().string() : ".";
+  DIR* const entries = ::opendir(folder.c_str());
+  if (entries == nullptr) return;
+  while (const dirent* entry = ::readdir(entries)) {
+    if (!IsTemporaryOf(target.filename().string(), entry->d_name)) continue;
+    const int descriptor = ::openat(::dirfd(entries), entry->d_name, O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+    if (descriptor < 0) continue;
+    struct stat status;
+    if (::fstat(descriptor, &status) == 0 && S_ISREG(status.st_mode) && Lock(descriptor)) {
+      ::unlinkat(::dirfd(entries), entry->d_name, 0);
+    }
+    ::close(descriptor);
+  }
+  ::closedir(entries);
 }
 
 }  // namespace
@@ -106,90 +138,82 @@ AtomicFile::AtomicFile(const std::string& path) : path_(path) {
   stream_.imbue(std::locale::classic());
   struct stat status;
   const bool is_special = ::stat(path.c_str(), &status) == 0 && !S_ISREG(status.st_mode) && !S_ISDIR(status.st_mode);
-  errno = 0;
-  descriptor_ = DescriptorOf(path);
-  if (descriptor_ >= 0) {
-    static_cast<std::ostream&>(stream_).rdbuf(&held_back_);
+  standard_ = DescriptorOf(path);
+  if (standard_ >= 0) {
+    stream_.rdbuf(&held_back_);
     return;
   }
   if (is_special) {
-    stream_.open(path, std::ios::binary);
-    if (!stream_) throw FileError(path, 0, "cannot write: " + Reason(errno));
-    return;
+    descriptor_ = ::open(path.c_str(), O_WRONLY | O_CLOEXEC);
+    if (descriptor_ < 0) throw CannotWrite(path, errno);
+  } else {
+    target_path_ = ResolveTarget(path);
+    OpenTemporary();
   }
-  target_path_ = ResolveTarget(path);
-  OpenTemporary();
+  buffer_ = std::make_unique<DescriptorBuffer>(descriptor_);
+  stream_.rdbuf(buffer_.get());
 }
 
 void AtomicFile::OpenTemporary() {
-  static std::atomic<unsigned> counter{0};
   struct stat old_status;
   const bool replaces = ::stat(target_path_.c_str(), &old_status) == 0;
   // A file that its owner protected stays as it is, though the folder would allow the rename.
-  if (replaces && ::access(target_path_.c_str(), W_OK) != 0)
-    throw FileError(path_, 0, "cannot write: " + Reason(errno));
-  int descriptor = -1;
-  do {
-    temporary_path_ = target_path_ + ".tmp-" + std::to_string(::getpid()) + "-" + std::to_string(counter++);
+  if (replaces && ::access(target_path_.c_str(), W_OK) != 0) throw CannotWrite(path_, errno);
+  RemoveAbandoned(target_path_);
+  while (true) {
+    temporary_path_ = TemporaryName(target_path_);
     slot_ = Register(temporary_path_);
-    descriptor = ::open(temporary_path_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
-    if (descriptor < 0) {
+    descriptor_ = ::open(temporary_path_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+    if (descriptor_ < 0) {
       const int error = errno;
       Unregister(slot_);
-      if (error != EEXIST) throw FileError(path_, 0, "cannot write: " + Reason(error));
+      temporary_path_.clear();
+      if (error != EEXIST) throw CannotWrite(path_, error);
+      continue;
     }
-  } while (descriptor < 0);
-  // Best effort: a file system without permissions still takes the file.
-  if (replaces && ::fchmod(descriptor, old_status.st_mode & 07777) != 0) errno = 0;
-  ::close(descriptor);
-  stream_.open(temporary_path_, std::ios::binary | std::ios::out | std::ios::trunc);
-  if (!stream_) {
-    const int error = errno;
+    // Between the two another process may have taken it for abandoned. A file system without locks has no such process.
+    struct stat status;
+    if (!Lock(descriptor_) || (::fstat(descriptor_, &status) == 0 && status.st_nlink > 0)) break;
     Discard();
-    throw FileError(path_, 0, "cannot write: " + Reason(error));
   }
+  // Best effort: a file system without permissions still takes the file.
+  if (replaces && ::fchmod(descriptor_, old_status.st_mode & 07777) != 0) errno = 0;
 }
 
 AtomicFile::~AtomicFile() { Discard(); }
 
-void AtomicFile::Discard() noexcept {
-  if (temporary_path_.empty()) return;
-  ::unlink(temporary_path_.c_str());
-  Unregister(slot_);
-  temporary_path_.clear();
+void AtomicFile::Close() noexcept {
+  if (descriptor_ >= 0) ::close(descriptor_);
+  descriptor_ = -1;
 }
 
-bool AtomicFile::WriteToDescriptor() {
-  const std::string text = held_back_.str();
-  for (std::size_t done = 0; done < text.size();) {
-    const ssize_t count = ::write(descriptor_, text.data() + done, text.size() - done);
-    if (count < 0 && errno != EINTR) return false;
-    if (count > 0) done += static_cast<std::size_t>(count);
+void AtomicFile::Discard() noexcept {
+  if (!temporary_path_.empty()) {
+    ::unlink(temporary_path_.c_str());
+    Unregister(slot_);
+    temporary_path_.clear();
   }
-  return true;
+  Close();
+}
+
+// 0 or an errno. The lock is held until the file has its name.
+int AtomicFile::CommitOpen() noexcept {
+  if (buffer_->pubsync() != 0) return buffer_->Error();
+  if (!stream_) return EIO;
+  if (temporary_path_.empty()) return ::close(std::exchange(descriptor_, -1)) == 0 || errno == EINTR ? 0 : errno;
+  if (const int error = SyncData(descriptor_); error != 0) return error;
+  return ::rename(temporary_path_.c_str(), target_path_.c_str()) == 0 ? 0 : errno;
 }
 
 void AtomicFile::Commit() {
-  errno = 0;
-  if (descriptor_ >= 0) {
-    if (!WriteToDescriptor()) throw FileError(path_, 0, "cannot write: " + Reason(errno));
-    return;
-  }
-  stream_.flush();
-  bool written = stream_.good();
-  stream_.close();
-  written = written && stream_.good();
-  if (temporary_path_.empty()) {
-    if (!written) throw FileError(path_, 0, "cannot write: " + Reason(errno != 0 ? errno : EIO));
-    return;
-  }
-  if (!written || !FlushToDisk(temporary_path_) || ::rename(temporary_path_.c_str(), target_path_.c_str()) != 0) {
-    const int error = errno != 0 ? errno : EIO;
+  const int error = standard_ >= 0 ? WriteAll(standard_, held_back_.str()) : CommitOpen();
+  if (error != 0) {
     Discard();
-    throw FileError(path_, 0, "cannot write: " + Reason(error));
+    throw CannotWrite(path_, error);
   }
-  Unregister(slot_);
+  if (!temporary_path_.empty()) Unregister(slot_);
   temporary_path_.clear();
+  Close();
 }
 
 void RemoveUncommittedFiles() noexcept {

@@ -477,10 +477,10 @@ TEST_F(OnlineCommand, CutsATornTailAtAnyByte) {
   const auto lines = Measurements(20);
   const std::size_t last = lines.size() - 1;
   Answers(Join(lines, 0, lines.size()), kOptions + "--journal journal --output whole");
-  const std::string flush = "5 ", whole = Read("journal");
+  const std::string whole = Read("journal");
   const std::size_t end = whole.rfind('\n', whole.size() - 2) + 1;  // without the closing FLUSH
   const std::size_t start = whole.rfind('\n', end - 2) + 1;         // of the last measurement
-  EXPECT_EQ(whole.compare(end, 2, flush), 0);
+  EXPECT_NE(whole.find("FLUSH", end), std::string::npos);
   Write("input", lines[last] + '\n');
   for (std::size_t cut = start; cut < end; ++cut) {
     Write("journal", whole.substr(0, cut));
@@ -503,7 +503,7 @@ TEST_F(OnlineCommand, RefusesOtherFilesAndOptions) {
   };
   refuse("my notes\n", "a file of another kind");
   refuse("t", "a file of another kind");
-  refuse("terse online journal 1\n", "the journal is damaged");
+  refuse("terse online journal 1\n", "a journal of another version of the format, this program reads version 2");
   Write("journal", "");  // holds nothing to lose
   Succeed(use);
   const std::string whole = Read("journal");
@@ -524,19 +524,116 @@ TEST_F(OnlineCommand, RefusesOtherFilesAndOptions) {
   ExpectFailure(use, 1, "another run is using this journal");
 }
 
-// What the solver could not take is part of the story.
-TEST_F(OnlineCommand, ReplaysWhatFailed) {
+// What the solver could not take changed nothing, so the story goes on as if it had not come.
+TEST_F(OnlineCommand, WhatFailedIsNotReplayed) {
   const std::string edge = " 1 0 0 100 0 0 100 0 100\n";
   const std::string huge = "EDGE_SE2 1 2 1e300 1e300 0 100 0 0 100 0 100\n";
-  Write("input", "EDGE_SE2 0 1" + edge + huge + "EDGE_SE2 0 2 5 0 0 100 0 0 100 0 100\nFLUSH\nEDGE_SE2 1 3" + edge);
+  Write("input", "EDGE_SE2 0 1" + edge + huge + "EDGE_SE2 0 2 5 0 0 100 0 0 100 0 100\nFLUSH\nEDGE_SE2 1 3" + edge +
+                     "DISCARD\nDISCARD\nEDGE_SE2 1 3" + edge);
   const auto answers = ParseLines(Succeed(kOptions + "--journal journal --output whole < input").out);
-  ASSERT_EQ(answers.size(), 4u);
-  EXPECT_EQ(answers[2]["error"], "stdin:4: the odometry of pose 2 leads beyond all numbers");
+  ASSERT_EQ(answers.size(), 7u);
+  const std::string cause = ": the odometry of pose 2 leads beyond all numbers; DISCARD gives up pose 2";
+  EXPECT_EQ(answers[2]["error"], "stdin:4" + cause);
+  EXPECT_EQ(answers[3]["error"], "stdin:5" + cause);
+  EXPECT_EQ(answers[4]["discarded"], 2);
+  EXPECT_EQ(answers[5]["error"], "stdin:7: DISCARD, but no pose is open");
+  EXPECT_EQ(answers[6]["pose"], 3);
   const auto resumed = ParseLines(Succeed(kOptions + "--journal journal --output pieces < /dev/null").out);
   ASSERT_EQ(resumed.size(), 1u);
   EXPECT_EQ(resumed[0]["last_pose"], 3);
   EXPECT_TRUE(resumed[0]["open_pose"].is_null());
   ExpectSameResults("pieces", "whole");
+}
+
+TEST_F(OnlineCommand, DamageIsNotTakenForATornTail) {
+  const auto lines = Measurements(12);
+  Write("input", Join(lines, 0, lines.size()));
+  Succeed(kOptions + "--journal journal < input");
+  const std::string whole = Read("journal");
+  std::vector<std::string> records;  // the format and the header too
+  for (std::size_t at = 0; at < whole.size(); at = whole.find('\n', at) + 1) {
+    records.push_back(whole.substr(at, whole.find('\n', at) + 1 - at));
+  }
+  const auto refuse = [&](const std::string& content, const std::string& what) {
+    Write("journal", content);
+    ExpectFailure(kOptions + "--journal journal < input", 1, "journal: the journal is damaged at byte");
+    EXPECT_EQ(Read("journal"), content) << what;
+  };
+  const auto joined = [](const std::vector<std::string>& parts) {
+    std::string out;
+    for (const std::string& part : parts) out += part;
+    return out;
+  };
+  const std::size_t last = records.size() - 1;
+  for (std::size_t k = 2; k <= last; ++k) {
+    const std::string at = "record " + std::to_string(k);
+    std::vector<std::string> changed = records;
+    changed.insert(changed.begin() + long(k), records[k]);
+    refuse(joined(changed), at + " doubled");
+    if (k == last) break;  // nothing tells that there was a last one
+    changed = records;
+    changed.erase(changed.begin() + long(k));
+    refuse(joined(changed), at + " dropped");
+    changed = records;
+    std::swap(changed[k], changed[k + 1]);
+    refuse(joined(changed), at + " swapped");
+  }
+  // Every byte of the last record, and of one before.
+  for (const std::size_t k : {last, last - 3}) {
+    std::size_t start = 0;
+    for (std::size_t j = 0; j < k; ++j) start += records[j].size();
+    for (std::size_t byte = 0; byte + 1 < records[k].size(); byte += byte < 24 ? 1 : 7) {
+      std::string changed = whole;
+      changed[start + byte] = changed[start + byte] == '1' ? '2' : '1';
+      refuse(changed, "byte changed");
+      changed = whole;
+      refuse(changed.erase(start + byte, 1), "byte missing");
+    }
+  }
+  refuse(whole + std::string(100, '\0'), "zeros behind the end");
+  refuse(whole + whole, "twice");
+}
+
+TEST_F(OnlineCommand, TwoRunsThatBeginAJournalAreNotBothLetIn) {
+  for (int round = 0; round < 8; ++round) {
+    const std::string journal = "journal" + std::to_string(round);
+    const std::string run =
+        "(sleep 0.3 | '" TERSE_COMMAND "' " + kOptions + "--journal " + journal + " > /dev/null 2>&1)";
+    Write("race.sh", run + " & a=$!; " + run + " & b=$!; wait $a; x=$?; wait $b; y=$?; echo $x $y");
+    const std::string line = "cd '" + folder_.string() + "' && sh race.sh > race.out";
+    ASSERT_EQ(std::system(line.c_str()), 0);
+    const std::string codes = Read("race.out");
+    EXPECT_TRUE(codes == "0 1\n" || codes == "1 0\n") << codes;
+  }
+}
+
+// What is opened first must not become standard output.
+TEST_F(OnlineCommand, ClosedDescriptorsAreNotTakenForOthers) {
+  const auto lines = Measurements(12);
+  Write("input", Join(lines, 0, lines.size()));
+  const auto run = [&](const std::string& redirections) {
+    const std::string line =
+        "cd '" + folder_.string() + "' && '" TERSE_COMMAND "' " + kOptions + "--journal journal " + redirections;
+    const int status = std::system(line.c_str());
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  };
+  EXPECT_EQ(run("< input >&- 2> err"), 1);
+  EXPECT_EQ(Read("err"), "terse: error: (standard output): cannot write: Bad file descriptor\n");
+  const auto resumed = Answers("", kOptions + "--journal journal");
+  EXPECT_TRUE(resumed.at(0)["resumed"].get<bool>());
+  EXPECT_EQ(run("<&- > /dev/null 2> err"), 1);
+  EXPECT_NE(Read("err").find("stdin:1: cannot read: Bad file descriptor"), std::string::npos) << Read("err");
+  EXPECT_EQ(run("< input > /dev/null 2>&-"), 0);
+  EXPECT_TRUE(Answers("", kOptions + "--journal journal").at(0)["resumed"].get<bool>());
+}
+
+TEST_F(OnlineCommand, LongLinesAreAnsweredAndNotKept) {
+  const std::string edge = " 1 0 0 100 0 0 100 0 100\n";
+  const std::string longest = "# " + std::string((1 << 20) - 2, 'x') + '\n';
+  const auto answers = Answers("EDGE_SE2 0 1" + edge + longest + "x" + longest + "EDGE_SE2 1 2" + edge, kOptions);
+  ASSERT_EQ(answers.size(), 4u);
+  EXPECT_EQ(answers[1]["error"], "stdin:3: longer than 1048576 bytes");
+  EXPECT_EQ(answers[3]["pose"], 2);
 }
 
 }  // namespace

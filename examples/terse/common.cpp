@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cerrno>
 #include <charconv>
 #include <cmath>
 #include <iostream>
@@ -6,6 +7,7 @@
 #include "commands.h"
 #include "policy.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/descriptor.h"
 
 namespace terse {
 namespace {
@@ -147,7 +149,9 @@ void AddPathToErrors(const std::string& path, const std::function<void()>& work)
 }
 
 void FlushOutput() {
-  if (!std::cout.flush()) throw FileError("(standard output)", 0, "cannot write");
+  errno = 0;
+  if (std::cout.flush()) return;
+  throw FileError("(standard output)", 0, "cannot write" + (errno != 0 ? ": " + SystemReason(errno) : ""));
 }
 
 void PrintJson(const nlohmann::ordered_json& json) {

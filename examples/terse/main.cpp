@@ -1,8 +1,10 @@
 // The terse command. Exit codes: 0 done, 1 bad input, 2 usage, 3 numerical failure, 130 interrupted.
 
+#include <fcntl.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <csignal>
 #include <iostream>
 #include <new>
@@ -84,9 +86,18 @@ int Run(int argc, char** argv) {
   }
 }
 
+// A file that is opened later must not become what the command prints to. What was closed stays unusable: these fail.
+void OpenMissingDescriptors() {
+  for (const int wanted : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
+    if (fcntl(wanted, F_GETFD) >= 0 || errno != EBADF) continue;
+    if (open("/dev/null", wanted == STDIN_FILENO ? O_WRONLY : O_RDONLY) != wanted) _exit(1);
+  }
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
+  OpenMissingDescriptors();
   for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGPIPE}) std::signal(signal, RemoveFilesAndExit);
   std::ios::sync_with_stdio(false);
   try {

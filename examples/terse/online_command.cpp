@@ -8,6 +8,7 @@
 #include "compact_output.h"
 #include "covariance_output.h"
 #include "journal.h"
+#include "line_source.h"
 #include "online_json.h"
 #include "policy.h"
 #include "report.h"
@@ -35,50 +36,7 @@ struct OnlineCommandOptions {
   LogSink log;
 };
 
-constexpr char kSource[] = "stdin";
-constexpr char kBlanks[] = " \t\r\v\f";
-
-std::string Trimmed(const std::string& text) {
-  const std::size_t first = text.find_first_not_of(kBlanks);
-  return first == std::string::npos ? "" : text.substr(first, text.find_last_not_of(kBlanks) - first + 1);
-}
-
-// Standard input by lines, some of which may be looked at before they are taken.
-class LineSource {
- public:
-  // The dimension of the first measurement that has one, 0 if none comes.
-  int FindDimension() {
-    for (const std::string& line : ahead_) {
-      if (const int dimension = DimensionOfLine(line); dimension != 0) return dimension;
-    }
-    for (std::string line; Read(line);) {
-      ahead_.push_back(line);
-      if (const int dimension = DimensionOfLine(line); dimension != 0) return dimension;
-    }
-    return 0;
-  }
-  bool Next(std::string& line) {
-    ++number_;
-    if (taken_ == ahead_.size()) return Read(line);
-    line = ahead_[taken_++];
-    return true;
-  }
-  long Number() const { return number_; }
-  // The last line has no end: what is there may be half of a number.
-  bool IsTorn() const { return torn_ && taken_ == ahead_.size(); }
-
- private:
-  bool Read(std::string& line) {
-    if (!std::getline(std::cin, line)) return false;
-    torn_ = std::cin.eof();
-    line = Trimmed(line);
-    return true;
-  }
-  std::vector<std::string> ahead_;
-  std::size_t taken_ = 0;
-  long number_ = 0;
-  bool torn_ = false;
-};
+constexpr const char* kSource = LineSource::kName;
 
 template <class Pose>
 class OnlineRun {
@@ -88,62 +46,55 @@ class OnlineRun {
 
   void Resume() {
     long number = 0, lines = 0;
-    for (const std::string& record : journal_->Lines()) {
+    while (const std::optional<std::string> line = journal_->ReadLine()) {
       ++number;
-      const bool failed = record[0] == kFailed;
       try {
-        Note(Apply(failed ? record.substr(1) : record, number));
-      } catch (const NumericalError&) {
-        if (failed) continue;
-        throw FileError(journal_->Path(), number + 2, "the line fails now, other than when it was written");
+        Note(Apply(*line, number));
       } catch (const std::exception& error) {
         throw FileError(journal_->Path(), number + 2, std::string("the line does not fit: ") + error.what());
       }
-      lines += !failed && record != kFlush;
+      lines += !IsFlush(*line);
     }
     const long cut = journal_->CutTail();
     if (cut > 0 && !options_.quiet) {
       std::cerr << "terse: warning: " << journal_->Path() << ": " << cut << " bytes of a line in flight were cut off\n";
     }
-    const auto id = [](std::optional<PoseId> pose) { return pose ? ordered_json(pose->value) : ordered_json(); };
     Print({{"resumed", true},
            {"poses", slam_.PosesSeen()},
-           {"last_pose", id(last_)},
-           {"open_pose", id(stream_.Open())},
+           {"last_pose", IdOrNull(last_)},
+           {"open_pose", IdOrNull(stream_.Open())},
            {"lines", lines}});
   }
 
-  void Take(const std::string& text, long number) {
-    const double before = SecondsNow();
+  void Take(const InputLine& line) {
+    const std::string& text = line.text;
+    if (line.too_long) {
+      return Refuse(FileError(kSource, line.number, "longer than " + std::to_string(kLongestLine) + " bytes"));
+    }
+    if (line.torn && !text.empty()) {
+      return Refuse(FileError(kSource, line.number, "the input ends within this line, expected a line end"));
+    }
     if (IsFlush(text) ? !stream_.Open() : IsComment(text)) return;
-    if (IsRequest(text)) return Answer(text, number);
+    if (IsRequest(text)) return Answer(text, line.number);
+    const double before = SecondsNow();
+    const std::optional<PoseId> open = stream_.Open();
     std::vector<StreamOutcome> outcomes;
     try {
-      outcomes = Apply(text, number);
-      Record(IsFlush(text) ? kFlush : text);
+      outcomes = Apply(text, line.number);
     } catch (const NumericalError& error) {
-      Record(kFailed + text);  // the pose at hand is gone
-      Refuse(FileError(kSource, number, error.what()));
+      const std::string way_out = open ? "; DISCARD gives up pose " + std::to_string(open->value) : "";
+      return Refuse(FileError(kSource, line.number, error.what() + way_out));
     } catch (const FileError& error) {
-      if (error.path() != kSource) throw;  // the journal's
-      Refuse(error);
+      return Refuse(error);
     } catch (const std::invalid_argument& error) {
-      Refuse(FileError(kSource, number, error.what()));
+      return Refuse(FileError(kSource, line.number, error.what()));
     }
+    if (journal_ != nullptr) journal_->Append(IsFlush(text) ? kFlush : text);
     Note(outcomes);
+    if (text == kDiscard) return Print({{"discarded", IdOrNull(open)}});
     if (outcomes.empty()) return;
     if (journal_ != nullptr) journal_->Sync();
-    if (options_.quiet) return;
-    const double seconds = SecondsNow() - before;
-    for (const StreamOutcome& outcome : outcomes) {
-      ordered_json json = ToJson(outcome, slam_);
-      const auto* decision = std::get_if<Decision>(&outcome);
-      if (decision != nullptr && options_.covariances) {
-        json["covariance"] = RowsJson(slam_.Covariance(decision->id, options_.convention));
-      }
-      json["seconds"] = seconds;
-      Print(json);
-    }
+    if (!options_.quiet) Report(outcomes, SecondsNow() - before);
   }
 
   void Refuse(const FileError& error) {
@@ -152,7 +103,7 @@ class OnlineRun {
   }
 
   void Finish() {
-    Take(kFlush, 0);
+    Take({kFlush});
     if (journal_ != nullptr) journal_->Sync();
     if (options_.directory.empty()) return;
     if (slam_.PosesSeen() == 0) throw FileError(kSource, 0, "no measurement came: there is nothing to write");
@@ -167,8 +118,7 @@ class OnlineRun {
   }
 
  private:
-  // In the journal: a line that closes the pose at hand, and the first character of one on which the solver failed.
-  static constexpr char kFlush[] = "FLUSH", kFailed = '!';
+  static constexpr char kFlush[] = "FLUSH", kDiscard[] = "DISCARD";
 
   static bool IsFlush(const std::string& text) { return text.empty() || text == kFlush; }
   static bool IsRequest(const std::string& text) {
@@ -180,6 +130,11 @@ class OnlineRun {
 
   std::vector<StreamOutcome> Apply(const std::string& text, long number) {
     if (IsFlush(text)) return stream_.Flush();
+    if (text == kDiscard) {
+      if (!stream_.Open()) throw FileError(kSource, number, "DISCARD, but no pose is open");
+      stream_.Discard();
+      return {};
+    }
     if (text.compare(0, kRemove.size(), kRemove) == 0) {
       RemoveLink(Trimmed(text.substr(kRemove.size())), number);
       return {};
@@ -203,18 +158,17 @@ class OnlineRun {
   // A request changes nothing, so the journal does not hold it; but what it tells follows from the lines before.
   void Answer(const std::string& text, long number) {
     const double before = SecondsNow();
+    ordered_json json;
     try {
-      ordered_json json =
-          CovarianceJson(ParseRequest(text.substr(kCovariance.size()), number), slam_, options_.convention);
-      json["seconds"] = SecondsNow() - before;
-      if (journal_ != nullptr) journal_->Sync();
-      Print(json);
+      json = CovarianceJson(ParseRequest(text.substr(kCovariance.size()), number), slam_, options_.convention);
     } catch (const FileError& error) {
-      if (error.path() != kSource) throw;  // the journal's
-      Refuse(error);
+      return Refuse(error);
     } catch (const NumericalError& error) {
-      Refuse(FileError(kSource, number, error.what()));
+      return Refuse(FileError(kSource, number, error.what()));
     }
+    json["seconds"] = SecondsNow() - before;
+    if (journal_ != nullptr) journal_->Sync();
+    Print(json);
   }
 
   // One pose, or two.
@@ -242,8 +196,16 @@ class OnlineRun {
     return poses;
   }
 
-  void Record(const std::string& text) {
-    if (journal_ != nullptr) journal_->Append(text);
+  void Report(const std::vector<StreamOutcome>& outcomes, double seconds) {
+    for (const StreamOutcome& outcome : outcomes) {
+      ordered_json json = ToJson(outcome, slam_);
+      const auto* decision = std::get_if<Decision>(&outcome);
+      if (decision != nullptr && options_.covariances) {
+        json["covariance"] = CovarianceOrNull(decision->id);
+      }
+      json["seconds"] = seconds;
+      Print(json);
+    }
   }
 
   void Note(const std::vector<StreamOutcome>& outcomes) {
@@ -254,6 +216,16 @@ class OnlineRun {
       if (!options_.directory.empty()) decisions_.push_back(*decision);
     }
   }
+
+  ordered_json CovarianceOrNull(PoseId pose) const {
+    try {
+      return RowsJson(slam_.Covariance(pose, options_.convention));
+    } catch (const NumericalError&) {  // the line is taken and answered all the same
+      return nullptr;
+    }
+  }
+
+  static ordered_json IdOrNull(std::optional<PoseId> pose) { return pose ? ordered_json(pose->value) : ordered_json(); }
 
   void Print(const ordered_json& json) {
     std::cout << OneLine(json);
@@ -346,13 +318,7 @@ void RunOnline(const OnlineCommandOptions& options, Journal* journal, LineSource
       run.Resume();
     }
   }
-  for (std::string line; source.Next(line);) {
-    if (source.IsTorn() && !line.empty()) {
-      run.Refuse(FileError(kSource, source.Number(), "the input ends within this line, expected a line end"));
-    } else {
-      run.Take(line, source.Number());
-    }
-  }
+  for (InputLine line; source.Next(line);) run.Take(line);
   run.Finish();
 }
 
@@ -442,8 +408,9 @@ void AddOnlineCommand(CLI::App& app) {
   command->add_flag("--quiet", options->quiet, "Write errors and what COVARIANCE asks for only, no decisions");
   AddVerboseOption(*command, options->log);
   command->footer(
-      "A blank line or FLUSH closes the pose at hand, REMOVE ID takes a link out, COVARIANCE ID [ID] answers how well\n"
-      "a pose is known (the second seen from the first).\n"
+      "A blank line or FLUSH closes the pose at hand, DISCARD gives it up, REMOVE ID takes a link out, COVARIANCE ID "
+      "[ID]\n"
+      "answers how well a pose is known (the second seen from the first).\n"
       "Example: terse generate ellipse --output measurements.g2o &&\n"
       "         terse online --range 10 10 10 1.5 --journal run.journal < measurements.g2o");
   command->callback([options] { Online(*options); });

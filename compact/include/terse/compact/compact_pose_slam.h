@@ -19,7 +19,8 @@
 // cost more of what the loop tells than min_loop_gain the dropped pose comes back instead: the odometry that was
 // concatenated over it is split at it (Decision::revived).
 //
-// A link must first pass the innovation test (innovation.h): a wrong link has high information.
+// A link must first pass the innovation test (innovation.h): a wrong link has high information. One with which the map
+// would have no solution is refused too.
 //
 // AddPose throws std::invalid_argument or NumericalError and leaves the state as before. What the registration callback
 // throws, or a defective link that it returns throws, passes through; links accepted before it, and the pose with

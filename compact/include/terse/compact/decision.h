@@ -18,7 +18,7 @@ struct Candidate {
   bool tried = false;
   std::optional<double> measured_gain;  // nats, with the registered covariance; absent if registration failed
   std::optional<double> innovation;     // squared Mahalanobis distance (innovation.h); absent if it is not tested
-  bool outlier = false;                 // the innovation is too large: not linked, whatever its gain
+  bool outlier = false;                 // the innovation is too large, or the map has no solution with it: not linked
   bool supported = false;               // it was, but others agree with it (CompactOptions::consensus)
   bool accepted = false;
   std::optional<FactorId> factor;      // if accepted: CompactPoseSlam::RemoveLink takes it
@@ -39,7 +39,7 @@ struct Decision {
   std::optional<double> pose_gain;
   int registrations_tried = 0;
   int links_accepted = 0;
-  int links_refused = 0;  // by the innovation test
+  int links_refused = 0;  // as outliers
   // Poses dropped earlier that are kept from now on, because a loop of this pose leads to them.
   std::vector<PoseId> revived;
   // All updates of the map in this step together (one per link that is added; with kApal one for all): whether any

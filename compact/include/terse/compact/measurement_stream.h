@@ -10,9 +10,9 @@
 //
 // The first pose is that of the first prior, or the `from` of the first edge.
 //
-// Throws std::invalid_argument for what contradicts the measurements before it, and is then as before. Where the solver
-// fails (NumericalError) while the pose at hand is closed, this pose is given up, unless links of it were accepted
-// before, and so is the measurement that would have opened the next one. Not thread-safe.
+// Throws std::invalid_argument for what contradicts the measurements before it, NumericalError where the solver fails,
+// and is then as before: a pose at hand that cannot be closed stays at hand until Discard() gives it up. Not
+// thread-safe.
 
 #include <map>
 #include <optional>
@@ -45,6 +45,8 @@ class MeasurementStream {
   std::vector<StreamOutcome> Add(const Factor<Pose>& factor);
   // Closes the pose at hand, if there is one.
   std::vector<StreamOutcome> Flush();
+  // Gives up the pose at hand, if there is one, with all that was measured at it.
+  void Discard() { open_.reset(); }
 
   // Where the first pose and fixed ones are; of no effect for others. Before the pose is closed.
   void SetValue(PoseId id, const Pose& T_world_body);
@@ -61,6 +63,7 @@ class MeasurementStream {
   std::vector<StreamOutcome> AddPrior(const Factor<Pose>& prior);
   CompactInput<Pose> Prepare(PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry) const;
   void OpenNext(CompactInput<Pose> pose);
+  void Forget(PoseId id);
   std::vector<StreamOutcome> Close();
   bool IsOpen(PoseId id) const { return open_ && open_->id == id; }
   bool IsKnown(PoseId id) const { return IsOpen(id) || slam_->HasSeen(id); }
