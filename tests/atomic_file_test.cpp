@@ -1,6 +1,7 @@
 #include "terse/core/atomic_file.h"
 
 #include <gtest/gtest.h>
+#include <signal.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -77,6 +78,29 @@ TEST_F(AtomicFileTest, KeepsPermissionsAndLinks) {
   EXPECT_TRUE(fs::is_symlink(At("link")));
   EXPECT_EQ(Get(At("target")), "new");
   EXPECT_EQ(fs::status(At("target")).permissions(), fs::perms(0640));
+}
+
+TEST_F(AtomicFileTest, TakesAwayWhatAKilledProcessLeftAndNothingElse) {
+  const pid_t child = ::fork();
+  if (child == 0) {
+    AtomicFile file(At("out"));
+    file.Stream() << "half" << std::flush;
+    ::raise(SIGKILL);
+  }
+  int status = 0;
+  ::waitpid(child, &status, 0);
+  ASSERT_EQ(Files(), 1u) << "the killed process left its temporary";
+  Put(At("out.tmp-mine"), "a user's");
+  Put(At("out2.tmp-0123456789abcdef"), "of another file");
+  AtomicFile first(At("out")), second(At("out"));  // the second does not take the first for abandoned
+  first.Stream() << "first";
+  second.Stream() << "second";
+  first.Commit();
+  EXPECT_EQ(Get(At("out")), "first");
+  second.Commit();
+  EXPECT_EQ(Get(At("out")), "second");
+  EXPECT_EQ(Files(), 3u);
+  EXPECT_EQ(Get(At("out2.tmp-0123456789abcdef")), "of another file");
 }
 
 TEST_F(AtomicFileTest, SaysWhyAFileCannotBeWritten) {
