@@ -8,6 +8,7 @@
 #include "compact_output.h"
 #include "covariance_output.h"
 #include "journal.h"
+#include "json_file.h"
 #include "online_json.h"
 #include "policy.h"
 #include "report.h"
@@ -316,7 +317,7 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
 }
 
 ordered_json ParseHeader(const Journal& journal) {
-  ordered_json json = ordered_json::parse(journal.Header(), nullptr, false);
+  ordered_json json = ParseJson<ordered_json>(journal.Header(), journal.Path(), 2);
   if (!json.is_object())
     throw FileError(journal.Path(), 0, "the journal's header is no JSON object, expected the options of its run");
   return json;
