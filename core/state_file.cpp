@@ -1,9 +1,10 @@
 #include "terse/core/state_file.h"
 
 #include <cstddef>
+#include <string_view>
 
 #include "terse/core/atomic_file.h"
-#include "text_lines.h"
+#include "terse/core/read_file.h"
 
 namespace terse {
 namespace {
@@ -54,12 +55,16 @@ void StateWriter::Save(const std::string& path) {
   file.Commit();
 }
 
-StateReader::StateReader(const std::string& path, const std::string& kind) : path_(path), bytes_(ReadAll(path)) {
+StateReader::StateReader(const std::string& path, const std::string& kind) : path_(path) {
   const auto refuse = [&](const std::string& cause) { throw FileError(path_, 0, cause); };
-  if (bytes_.size() < kMagicLength || bytes_.compare(0, kMagicLength, kStateMagic, kMagicLength) != 0) {
-    refuse(bytes_.empty() ? "the file is empty, expected a saved state"
-                          : "not a saved state (it does not begin as one), expected one of kind " + Quoted(kind));
-  }
+  const auto expect_state = [&](std::string_view start) {
+    if (start.substr(0, kMagicLength) == std::string_view(kStateMagic, kMagicLength)) return;
+    refuse(start.empty() ? "the file is empty, expected a saved state"
+                         : "not a saved state (it does not begin as one), expected one of kind " + Quoted(kind));
+  };
+  ReadLimits limits;
+  limits.check_start = expect_state;
+  bytes_ = ReadAll(path, limits);
   members_end_ = bytes_.size();
   at_ = kMagicLength;
   const auto cut_off = [&] {

@@ -1,13 +1,9 @@
 #include "text_lines.h"
 
-#include <fcntl.h>
-#include <unistd.h>
-
-#include <cerrno>
+#include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <cstring>
-#include <filesystem>
+#include <stdexcept>
 #include <system_error>
 
 namespace terse {
@@ -31,42 +27,15 @@ std::errc Parse(std::string_view text, Value* value) {
 
 }  // namespace
 
-std::string ReadAll(const std::string& path) {
-  namespace fs = std::filesystem;
-  std::error_code error;
-  const fs::file_status status = fs::status(path, error);
-  if (status.type() == fs::file_type::not_found) throw FileError(path, 0, "the file does not exist");
-  if (fs::is_directory(status)) throw FileError(path, 0, "cannot read: it is a folder, expected a file");
-  const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-  if (descriptor < 0) throw FileError(path, 0, "cannot read: " + std::system_category().message(errno));
-  std::string content;
-  if (fs::is_regular_file(status)) {
-    const std::uintmax_t size = fs::file_size(path, error);
-    if (!error) content.reserve(static_cast<std::size_t>(size) + 1);
-  }
-  std::array<char, 1 << 16> chunk;
-  while (true) {
-    const ssize_t count = ::read(descriptor, chunk.data(), chunk.size());
-    if (count < 0 && errno == EINTR) continue;
-    if (count < 0) {
-      const int failure = errno;
-      ::close(descriptor);
-      throw FileError(path, 0, "cannot read: " + std::system_category().message(failure));
-    }
-    if (count == 0) break;
-    content.append(chunk.data(), static_cast<std::size_t>(count));
-  }
-  ::close(descriptor);
-  return content;
-}
-
-TextFile::TextFile(const std::string& path) : path_(path), content_(ReadAll(path)) {
-  const std::size_t nul = content_.find('\0');
-  if (nul != std::string::npos) {
-    long line = 1;
-    for (std::size_t i = 0; i < nul; ++i) line += content_[i] == '\n';
-    throw FileError(path, line, "a binary file (it holds a zero byte), expected text");
-  }
+TextFile::TextFile(const std::string& path, const ReadLimits& limits) : path_(path) {
+  const auto expect_text = [&](std::string_view text) {
+    const std::size_t nul = text.find('\0');
+    if (nul == std::string_view::npos) return;
+    const auto line = 1 + std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(nul), '\n');
+    throw FileError(path, static_cast<long>(line), "a binary file (it holds a zero byte), expected text");
+  };
+  content_ = ReadAll(path, {limits.most_bytes, expect_text});
+  expect_text(content_);
   if (content_.empty()) throw FileError(path, 0, "the file is empty, expected lines of text");
 }
 
@@ -78,6 +47,11 @@ std::vector<TextLine> TextFile::Lines() const {
     const std::size_t end = rest.find('\n');
     std::string_view text = rest.substr(0, end);
     rest.remove_prefix(end == std::string_view::npos ? rest.size() : end + 1);
+    if (text.size() > kMostLineBytes) {
+      throw FileError(
+          path_, number,
+          "the line has " + std::to_string(text.size()) + " bytes, expected at most " + std::to_string(kMostLineBytes));
+    }
     while (!text.empty() && IsBlank(text.front())) text.remove_prefix(1);
     while (!text.empty() && IsBlank(text.back())) text.remove_suffix(1);
     if (text.empty() || text[0] == '#' || text.substr(0, 2) == "//") continue;
@@ -100,15 +74,27 @@ bool IsNumber(std::string_view text) {
 void Fields::Split(const TextLine& line) {
   line_ = line.number;
   count_ = 0;
+  more_texts_.clear();
   std::string_view rest = line.text;
   while (true) {
     while (!rest.empty() && IsBlank(rest.front())) rest.remove_prefix(1);
     if (rest.empty()) return;
     const std::string_view field = FirstField(rest);
-    if (count_ < kMostStored) texts_[static_cast<std::size_t>(count_)] = field;
+    if (const auto i = static_cast<std::size_t>(count_); i < kStored) {
+      texts_[i] = field;
+    } else {
+      more_texts_.push_back(field);
+    }
     ++count_;
     rest.remove_prefix(field.size());
   }
+}
+
+std::string_view Fields::Text(int i) const {
+  if (i < 0 || i >= count_)
+    throw std::out_of_range("a line of " + std::to_string(count_) + " fields has no such field");
+  const auto at = static_cast<std::size_t>(i);
+  return at < kStored ? texts_[at] : more_texts_[at - kStored];
 }
 
 FileError Fields::FieldError(int i, const char* name, const std::string& cause) const {

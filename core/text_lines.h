@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "terse/core/error.h"
+#include "terse/core/read_file.h"
 
 namespace terse {
 
@@ -16,13 +17,11 @@ struct TextLine {
   std::string_view text;  // without the line end, CR or LF
 };
 
-// The bytes of a file. Throws FileError if it is missing, a folder or unreadable.
-std::string ReadAll(const std::string& path);
-
-// A file read whole. Throws FileError if it is missing, a folder, unreadable, empty or binary (holds NUL bytes).
+// A file read whole. Throws FileError if it is missing, a folder, unreadable, empty, too large, binary (holds NUL
+// bytes) or has a line beyond kMostLineBytes.
 class TextFile {
  public:
-  explicit TextFile(const std::string& path);
+  explicit TextFile(const std::string& path, const ReadLimits& limits = {});
   TextFile(const TextFile&) = delete;
   TextFile& operator=(const TextFile&) = delete;
   const std::string& Path() const { return path_; }
@@ -47,7 +46,8 @@ class Fields {
   // The views must outlive the use of the fields.
   void Split(const TextLine& line);
   int Count() const { return count_; }
-  std::string_view Text(int i) const { return texts_[static_cast<std::size_t>(i)]; }
+  // Throws std::out_of_range unless 0 <= i < Count().
+  std::string_view Text(int i) const;
   // Finite, in decimal notation; a leading + is fine.
   double Number(int i, const char* name) const;
   std::int64_t Integer(int i, const char* name) const;
@@ -55,13 +55,15 @@ class Fields {
   long LineNumber() const { return line_; }
 
  private:
-  static constexpr int kMostStored = 40;  // more than any line that is right; the rest is counted only
+  // More than any line but a FIX of many poses, which alone costs an allocation.
+  static constexpr std::size_t kStored = 40;
   FileError FieldError(int i, const char* name, const std::string& cause) const;
 
   const std::string& path_;
   long line_ = 0;
   int count_ = 0;
-  std::array<std::string_view, kMostStored> texts_;
+  std::array<std::string_view, kStored> texts_;
+  std::vector<std::string_view> more_texts_;  // from field kStored on
 };
 
 // Text in quotes for a message, cut if long, unprintable bytes as "?".

@@ -4,27 +4,30 @@
 
 #include <cerrno>
 #include <csetjmp>
+#include <cstdint>
 #include <cstdio>
 #include <cstring>
 #include <new>
 #include <opencv2/imgproc.hpp>
 #include <stdexcept>
+#include <string_view>
 #include <system_error>
 #include <vector>
 
-#include "core/text_lines.h"
 #include "terse/core/error.h"
+#include "terse/core/read_file.h"
 
 namespace terse {
 namespace {
 
-constexpr png_uint_32 kMostPixels = 1u << 28;
+// Deflate makes no more of a byte; a file of n bytes that promises more pixels than this allows cannot hold them.
+constexpr std::uint64_t kMostInflation = 1032;
 
 // What libpng calls back with. It leaves by longjmp(), which runs no destructors: the functions below that call
 // setjmp() hold nothing that has one.
 struct Transfer {
   const png_byte* bytes = nullptr;  // to be decoded
-  std::size_t left = 0;
+  std::size_t size = 0, left = 0;
   bool cut_off = false;
   char message[128] = "";
 };
@@ -75,7 +78,11 @@ bool ReadHeader(png_structp png, png_infop info, Transfer& transfer) {
   if (setjmp(png_jmpbuf(png)) != 0) return false;
   png_set_read_fn(png, &transfer, TakeBytes);
   png_read_info(png, info);
-  if (png_get_image_height(png, info) > kMostPixels / png_get_image_width(png, info)) png_error(png, "too large");
+  const std::uint64_t width = png_get_image_width(png, info), height = png_get_image_height(png, info);
+  if (width * height > kMostImagePixels) png_error(png, "it is too large, expected at most 2^26 pixels");
+  if (height * png_get_rowbytes(png, info) > kMostInflation * transfer.size) {
+    png_error(png, "it promises more pixels than the file can hold");
+  }
   png_set_strip_16(png);
   png_set_expand(png);
   png_set_strip_alpha(png);
@@ -122,15 +129,17 @@ FileError ReadError(const std::string& path, const Transfer& transfer) {
 
 cv::Mat ReadGreyPng(const std::string& path) {
   constexpr std::size_t kSignatureSize = 8;
-  const std::string bytes = ReadAll(path);
-  const auto* begin = reinterpret_cast<const png_byte*>(bytes.data());
-  if (bytes.size() < kSignatureSize || png_sig_cmp(begin, 0, kSignatureSize) != 0) {
+  const auto expect_png = [&](std::string_view start) {
+    const auto* signature = reinterpret_cast<const png_byte*>(start.data());
+    if (start.size() >= kSignatureSize && png_sig_cmp(signature, 0, kSignatureSize) == 0) return;
     throw FileError(path, 0, "not a PNG image, expected one");
-  }
+  };
+  const std::string bytes = ReadAll(path, {MostFileBytes(kMostImageBytes, 4), expect_png});
+  const auto* begin = reinterpret_cast<const png_byte*>(bytes.data());
   Reader reader;
   if (reader.info == nullptr) throw std::bad_alloc();
   reader.transfer.bytes = begin;
-  reader.transfer.left = bytes.size();
+  reader.transfer.size = reader.transfer.left = bytes.size();
   if (!ReadHeader(reader.png, reader.info, reader.transfer)) throw ReadError(path, reader.transfer);
   const bool is_grey = png_get_channels(reader.png, reader.info) == 1;
   cv::Mat image(static_cast<int>(png_get_image_height(reader.png, reader.info)),

@@ -631,10 +631,10 @@ TEST_F(OnlineCommand, ClosedDescriptorsAreNotTakenForOthers) {
 
 TEST_F(OnlineCommand, LongLinesAreAnsweredAndNotKept) {
   const std::string edge = " 1 0 0 100 0 0 100 0 100\n";
-  const std::string longest = "# " + std::string((1 << 20) - 2, 'x') + '\n';
+  const std::string longest = "# " + std::string((16 << 20) - 2, 'x') + '\n';
   const auto answers = Answers("EDGE_SE2 0 1" + edge + longest + "x" + longest + "EDGE_SE2 1 2" + edge, kOptions);
   ASSERT_EQ(answers.size(), 4u);
-  EXPECT_EQ(answers[1]["error"], "stdin:3: longer than 1048576 bytes");
+  EXPECT_EQ(answers[1]["error"], "stdin:3: longer than 16777216 bytes");
   EXPECT_EQ(answers[3]["pose"], 2);
 }
 

@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 #include <png.h>
+#include <zlib.h>
 
 #include <filesystem>
 #include <opencv2/core.hpp>
@@ -125,6 +126,28 @@ TEST(PngFile, WhatCannotBeWrittenIsNamed) {
   EXPECT_THROW(WriteGreyPng(path, RandomImage(CV_8U)), FileError);
   EXPECT_THROW(WriteGreyPng(path, RandomImage(CV_8UC3)), std::invalid_argument);
   EXPECT_THROW(WriteGreyPng(path, cv::Mat()), std::invalid_argument);
+}
+
+// An image of 100 million grey pixels, and one of 16 million, in files that cannot hold them.
+TEST(PngFile, MemoryIsTakenForWhatAFileHolds) {
+  const TestFile file("claims.png");
+  const auto claim = [&](png_uint_32 width, png_uint_32 height) {
+    WriteGreyPng(file.Path(), RandomImage(CV_8U, {64, 64}));
+    std::string bytes = file.Content();
+    for (int k = 0; k < 4; ++k) {
+      bytes[static_cast<std::size_t>(16 + k)] = static_cast<char>(width >> (24 - 8 * k));
+      bytes[static_cast<std::size_t>(20 + k)] = static_cast<char>(height >> (24 - 8 * k));
+    }
+    uLong crc = crc32(0, nullptr, 0);
+    crc = crc32(crc, reinterpret_cast<const Bytef*>(bytes.data()) + 12, 17);
+    for (int k = 0; k < 4; ++k) bytes[static_cast<std::size_t>(29 + k)] = static_cast<char>(crc >> (24 - 8 * k));
+    std::ofstream(file.Path(), std::ios::binary) << bytes;
+    return CauseOf(file.Path());
+  };
+  EXPECT_EQ(claim(64, 64), "none");
+  EXPECT_NE(claim(10000, 10000).find("too large, expected at most 2^26 pixels"), std::string::npos);
+  EXPECT_NE(claim(4000, 4000).find("promises more pixels than the file can hold"), std::string::npos);
+  EXPECT_NE(claim(64, 65).find("the PNG image"), std::string::npos);  // could be, but is not
 }
 
 }  // namespace

@@ -185,7 +185,7 @@ TEST_F(ReportCommand, SaysWhatIsWrong) {
   ExpectFailure("report .", 1, "graph.json: cannot read; expected a folder written by terse compact");
   const std::string graph = Read("fpfl/graph.json"), steps = Read("fpfl/steps.csv");
   Write("fpfl/graph.json", graph.substr(0, graph.size() / 2));
-  ExpectFailure("report fpfl --output page.html", 1, "fpfl/graph.json: expected a JSON object");
+  ExpectFailure("report fpfl --output page.html", 1, "the JSON ends too early");
   Write("fpfl/graph.json", "{\"format\": \"terse-compact-graph-1\"}");
   ExpectFailure("report fpfl --output page.html", 1, "fpfl/graph.json: not as terse writes it");
   Write("fpfl/graph.json", graph);
@@ -195,7 +195,7 @@ TEST_F(ReportCommand, SaysWhatIsWrong) {
   ExpectFailure("report fpfl --output page.html", 1, "expected 10 cells as in the header, found 2");
   Write("fpfl/steps.csv", steps);
   Write("fpfl/decisions.jsonl", "{\n");
-  ExpectFailure("report fpfl --output page.html", 1, "fpfl/decisions.jsonl:1: not as terse writes it");
+  ExpectFailure("report fpfl --output page.html", 1, "fpfl/decisions.jsonl:1: the JSON ends too early");
   EXPECT_FALSE(Exists("page.html"));
 }
 

@@ -1,12 +1,10 @@
 #include "compact_map_file.h"
 
-#include <algorithm>
 #include <cmath>
-#include <filesystem>
-#include <fstream>
 #include <nlohmann/json.hpp>
 
 #include "calibration.h"
+#include "json_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 
@@ -320,32 +318,11 @@ InformationScale ReadScale(const Place& place) {
   return {ReadKindScale(place.At("odometry", "scales")), ReadKindScale(place.At("loops", "scales"))};
 }
 
-std::string ReadText(const std::string& path) {
-  std::error_code error;
-  if (!std::filesystem::exists(path, error)) throw FileError(path, 0, "the file does not exist");
-  std::ifstream file(path, std::ios::binary);
-  std::string text{std::istreambuf_iterator<char>(file), {}};
-  if (!file || std::filesystem::is_directory(path, error)) throw FileError(path, 0, "cannot read");
-  return text;
-}
-
 }  // namespace
 
 GraphJson ReadGraphJson(const std::string& path) {
-  const std::string text = ReadText(path);
-  json object;
-  try {
-    object = json::parse(text);
-  } catch (const json::parse_error& error) {
-    const auto end = text.begin() + static_cast<long>(std::min(error.byte, text.size()));
-    const bool is_cut = error.byte > text.size();
-    throw FileError(path, 1 + std::count(text.begin(), end, '\n'),
-                    is_cut ? "the file ends too early, expected more JSON" : "not valid JSON");
-  } catch (const json::exception&) {  // a number beyond the range of double
-    throw FileError(path, 0, "holds a number that is too large");
-  }
+  const json object = ReadJsonObject<json>(path, "a compact map");
   const Place root(object, "", path);
-  if (!object.is_object()) root.FailExpecting("a compact map as a JSON object");
   root.At("format", (std::string("\"") + kFormat + "\"").c_str()).Choice({kFormat});
   GraphJson file;
   const Place dimension = root.At("dimension", "2 or 3");

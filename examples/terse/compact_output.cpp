@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 
 #include "calibration.h"
 #include "compact_map_file.h"
@@ -13,6 +12,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/graph_file.h"
+#include "terse/core/read_file.h"
 #include "terse/covariance/incremental_marginals.h"
 #include "thresholds_file.h"
 
@@ -21,15 +21,14 @@ namespace {
 
 // The lines behind the first `skipped`, if there are so many.
 std::string Rows(const std::string& path, std::size_t skipped, std::size_t rows) {
-  std::ifstream file(path, std::ios::binary);
-  std::string text, line;
-  for (std::size_t k = 0; std::getline(file, line); ++k) {
-    if (k < skipped) continue;
-    if (rows == 0 || file.eof()) return "";  // too many, or one that is cut short
-    text += line + '\n';
-    --rows;
-  }
-  return rows == 0 ? text : "";
+  if (!std::filesystem::exists(path)) return "";
+  const std::string text = ReadAll(path);
+  if (!text.empty() && text.back() != '\n') return "";  // the last one is cut short
+  const auto lines = static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n'));
+  if (lines != skipped + rows) return "";
+  std::size_t start = 0;
+  for (std::size_t k = 0; k < skipped; ++k) start = text.find('\n', start) + 1;
+  return text.substr(start);
 }
 
 std::string JsonNumber(const std::optional<double>& value) {

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
+#include <string_view>
 
 #include "commands.h"
 #include "terse/core/trajectory.h"
@@ -17,10 +18,11 @@ struct ConvertOptions {
 bool LooksLikeTrajectory(const std::string& path) {
   if (!std::filesystem::is_regular_file(path)) return false;  // a pipe can be read only once
   std::ifstream file(path);
-  for (std::string line; std::getline(file, line);) {
-    const std::size_t start = line.find_first_not_of(" \t\r");
-    if (start == std::string::npos || line[start] == '#') continue;
-    return std::string("+-.0123456789").find(line[start]) != std::string::npos;
+  bool in_comment = false;
+  for (char c = 0; file.get(c);) {  // by characters: a line may be of any length
+    in_comment = c != '\n' && (in_comment || c == '#');
+    if (in_comment || std::string_view(" \t\r\n").find(c) != std::string_view::npos) continue;
+    return std::string_view("+-.0123456789").find(c) != std::string_view::npos;
   }
   return false;
 }

@@ -1,10 +1,8 @@
 #include "document.h"
 
-#include <fstream>
-#include <sstream>
-
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
+#include "terse/core/read_file.h"
 
 namespace terse {
 namespace {
@@ -14,14 +12,11 @@ struct Document {
 };
 
 Document ReadDocument(const std::string& path, const std::string& mark) {
-  std::ifstream in(path);
-  std::stringstream buffer;
-  buffer << in.rdbuf();
-  const std::string text = buffer.str();
+  const std::string text = ReadAll(path);
   const std::string open = "<!-- " + mark + " -->\n", close = "<!-- /" + mark + " -->";
   const std::size_t begin = text.find(open), end = text.find(close);
-  if (!in || begin == std::string::npos || end == std::string::npos || end < begin) {
-    throw FileError(path, 0, "cannot be read, or has no place <!-- " + mark + " --> to fill");
+  if (begin == std::string::npos || end == std::string::npos || end < begin) {
+    throw FileError(path, 0, "has no place <!-- " + mark + " --> to fill");
   }
   return {text.substr(0, begin + open.size()), text.substr(end)};
 }

@@ -14,6 +14,7 @@
 #include "crc32.h"
 #include "terse/core/descriptor.h"
 #include "terse/core/error.h"
+#include "terse/core/limits.h"
 
 namespace terse {
 namespace {
@@ -166,7 +167,7 @@ std::optional<std::string> Journal::ReadLine() {
                  " belongs; records are missing, doubled or swapped");
   }
   const std::size_t text_at = head.size() + 9;  // "TEXTSUM "
-  if (length > kLongestLine) throw Damage("no line is as long as record " + std::to_string(number));
+  if (length > kMostLineBytes) throw Damage("no line is as long as record " + std::to_string(number));
   const bool is_whole = FillTo(text_at + length + 1);
   rest = std::string_view(ahead_).substr(taken_);
   if (!is_whole) {

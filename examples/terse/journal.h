@@ -20,9 +20,6 @@
 
 namespace terse {
 
-// The longest line that a journal, and with it terse online, takes, bytes.
-constexpr std::size_t kLongestLine = 1 << 20;
-
 class Journal {
  public:
   // Opens the file, made empty if there is none, locks it (one run at a time, from here on) and reads the header. A

@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <cerrno>
 
-#include "journal.h"
 #include "terse/core/descriptor.h"
 #include "terse/core/error.h"
+#include "terse/core/limits.h"
 #include "terse/core/measurement_line.h"
 
 namespace terse {
@@ -52,7 +52,7 @@ bool LineSource::Read(InputLine& line) {
       return true;
     }
     const std::size_t end = buffer_.find('\n', taken_), last = std::min(end, buffer_.size());
-    too_long = too_long || text.size() + last - taken_ > kLongestLine;
+    too_long = too_long || text.size() + last - taken_ > kMostLineBytes;
     if (too_long) {
       text.clear();
     } else {

@@ -11,7 +11,7 @@ struct InputLine {
   std::string text;       // without blanks at its ends
   long number = 0;        // from 1
   bool torn = false;      // the input ends within it: it may hold half of a number
-  bool too_long = false;  // longer than kLongestLine: `text` is empty
+  bool too_long = false;  // longer than kMostLineBytes: `text` is empty
 };
 
 // Lines may be looked at before they are taken. Throws FileError if standard input cannot be read.

@@ -8,10 +8,12 @@
 #include "compact_output.h"
 #include "covariance_output.h"
 #include "journal.h"
+#include "json_file.h"
 #include "line_source.h"
 #include "online_json.h"
 #include "policy.h"
 #include "report.h"
+#include "terse/core/limits.h"
 #include "terse/core/measurement_line.h"
 #include "thresholds_file.h"
 #include "verbose.h"
@@ -69,7 +71,7 @@ class OnlineRun {
   void Take(const InputLine& line) {
     const std::string& text = line.text;
     if (line.too_long) {
-      return Refuse(FileError(kSource, line.number, "longer than " + std::to_string(kLongestLine) + " bytes"));
+      return Refuse(FileError(kSource, line.number, "longer than " + std::to_string(kMostLineBytes) + " bytes"));
     }
     if (line.torn && !text.empty()) {
       return Refuse(FileError(kSource, line.number, "the input ends within this line, expected a line end"));
@@ -288,7 +290,7 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
 }
 
 ordered_json ParseHeader(const Journal& journal) {
-  ordered_json json = ordered_json::parse(journal.Header(), nullptr, false);
+  ordered_json json = ParseJson<ordered_json>(journal.Header(), journal.Path(), 2);
   if (!json.is_object())
     throw FileError(journal.Path(), 0, "the journal's header is no JSON object, expected the options of its run");
   return json;

@@ -140,7 +140,8 @@ void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factor
 }
 
 void RequireStampId(PoseId id) {
-  if (std::abs(id.value) <= (std::int64_t{1} << 53)) return;
+  constexpr std::int64_t kMost = std::int64_t{1} << 53;
+  if (id.value >= -kMost && id.value <= kMost) return;  // -2^63 has no absolute value
   throw std::invalid_argument("pose " + std::to_string(id.value) +
                               ": ids beyond 2^53 do not fit into the stamps of a trajectory");
 }

@@ -4,13 +4,14 @@
 #include <charconv>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <limits>
 #include <sstream>
 #include <unordered_map>
 
+#include "json_file.h"
 #include "terse/core/error.h"
 #include "terse/core/evaluate.h"
+#include "terse/core/read_file.h"
 
 namespace terse {
 namespace {
@@ -18,20 +19,13 @@ namespace {
 using std::size_t;
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
-std::string ReadText(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) {
-    throw FileError(path, 0, "cannot read; expected a folder written by terse compact, kitti or table compact");
-  }
-  return {std::istreambuf_iterator<char>(file), {}};
+// Throws FileError unless it is there: what lacks it is no folder of a run.
+std::string Present(const std::string& path) {
+  if (std::filesystem::exists(path)) return path;
+  throw FileError(path, 0, "cannot read; expected a folder written by terse compact, kitti or table compact");
 }
 
-template <class Json>
-Json ReadObject(const std::string& path) {
-  Json object = Json::parse(ReadText(path), nullptr, false);
-  if (!object.is_object()) throw FileError(path, 0, "expected a JSON object");
-  return object;
-}
+std::string ReadText(const std::string& path) { return ReadAll(Present(path)); }
 
 // What nlohmann finds wrong while `work` takes an object apart.
 template <class Work>
@@ -41,6 +35,12 @@ void WithJsonErrors(const std::string& path, long line, const Work& work) {
   } catch (const nlohmann::json::exception& error) {
     throw FileError(path, line, std::string("not as terse writes it: ") + error.what());
   }
+}
+
+// The id that a number stands for, if it is one: not every double has a counterpart among the integers.
+std::optional<std::int64_t> IdOf(double number) {
+  if (!(std::abs(number) < 0x1p63) || number != std::floor(number)) return std::nullopt;
+  return static_cast<std::int64_t>(number);
 }
 
 void RequireCount(const std::string& path, size_t count, size_t poses) {
@@ -59,21 +59,29 @@ class Reader {
   explicit Reader(RunFolder& run) : run_(run) {}
 
   void ReadPoses(const nlohmann::json& graph) {
-    run_.dimension = graph.at("dimension").get<int>();
+    const std::string path = run_.path + "/graph.json";
+    const std::int64_t dimension = WholeNumber(graph.at("dimension"), path);
+    if (dimension != 2 && dimension != 3) {
+      throw FileError(path, 0, "dimension: " + std::to_string(dimension) + ", expected 2 or 3");
+    }
+    run_.dimension = static_cast<int>(dimension);
     for (const auto& pose : graph.at("poses")) {
-      const auto id = pose.at("id").get<std::int64_t>();
-      index_[id] = static_cast<int>(run_.ids.size());
+      const std::int64_t id = WholeNumber(pose.at("id"), path);
+      if (!index_.emplace(id, static_cast<int>(run_.ids.size())).second) {
+        throw FileError(path, 0, "pose " + std::to_string(id) + " is there twice");
+      }
       run_.ids.push_back(id);
       run_.kept.push_back(pose.at("kept").get<bool>() ? 1 : 0);
     }
   }
 
   void ReadEdges(const nlohmann::json& graph) {
+    const std::string path = run_.path + "/graph.json";
     for (const auto& edge : graph.at("edges")) {
-      const auto index = [&](const char* key) { return IndexOf(edge.at(key), run_.path + "/graph.json"); };
+      const auto index = [&](const char* key) { return IndexOf(edge.at(key), path); };
       const int from = index("from"), to = index("to");
       if (edge.at("kind") == "loop") {
-        const auto innovation = innovations_.find(edge.at("factor").get<long>());
+        const auto innovation = innovations_.find(WholeNumber(edge.at("factor"), path));
         run_.links.push_back({from, to, index("added_at"), Optional(edge.at("gain_nats")),
                               innovation != innovations_.end() ? innovation->second : std::nullopt});
       } else {
@@ -92,8 +100,9 @@ class Reader {
     std::vector<SE3> out(count);
     size_t ids = 0;
     for (size_t k = 0; k < count; ++k) {
-      const auto found = index_.find(static_cast<std::int64_t>(trajectory.stamps[k]));
-      if (found == index_.end() || trajectory.stamps[k] != std::floor(trajectory.stamps[k])) continue;
+      const auto id = IdOf(trajectory.stamps[k]);
+      const auto found = id ? index_.find(*id) : index_.end();
+      if (found == index_.end()) continue;
       out[static_cast<size_t>(found->second)] = trajectory.T_world_body[k];
       ++ids;
     }
@@ -108,19 +117,19 @@ class Reader {
     run_.decisions = nlohmann::json::array();
     for (std::string line; std::getline(lines, line);) {
       WithJsonErrors(path, ++number, [&] {
-        nlohmann::json decision = nlohmann::json::parse(line);
+        auto decision = ParseJson<nlohmann::json>(line, path, number);
         // What the report and the pictures take from it.
-        decision.at("pose").get<std::int64_t>();
+        WholeNumber(decision.at("pose"), path, number);
         decision.at("verdict").get<std::string>();
         for (const char* count : {"registrations_tried", "links_accepted", "links_refused"})
-          decision.at(count).get<int>();
+          WholeNumber(decision.at(count), path, number);
         decision.at("pose_gain_nats");
         for (const auto& candidate : decision.at("candidates")) {
           IndexOf(candidate.at("id"), path);
           candidate.at("accepted").get<bool>();
-          for (const char* number : {"probability", "gain_nats", "measured_gain_nats"}) candidate.at(number);
-          if (!candidate.at("factor").is_number()) continue;
-          innovations_[candidate.at("factor").get<long>()] = Optional(candidate.at("innovation"));
+          for (const char* key : {"probability", "gain_nats", "measured_gain_nats", "innovation"}) candidate.at(key);
+          if (candidate.at("factor").is_null()) continue;
+          innovations_[WholeNumber(candidate.at("factor"), path, number)] = Optional(candidate.at("innovation"));
         }
         run_.decisions.push_back(std::move(decision));
       });
@@ -150,7 +159,8 @@ class Reader {
     const int size = run_.dimension == 3 ? 6 : 3;
     for (size_t r = 0; r < rows.size(); ++r) {
       const std::vector<double>& row = rows[r];
-      const auto found = index_.find(static_cast<std::int64_t>(row[0]));
+      const auto id = IdOf(row[0]);
+      const auto found = id ? index_.find(*id) : index_.end();
       if (static_cast<int>(row.size()) != 1 + size * size || found == index_.end()) {
         throw FileError(path, static_cast<long>(r) + 2, "expected the id of a pose and its covariance");
       }
@@ -209,7 +219,7 @@ class Reader {
   }
 
   int IndexOf(const nlohmann::json& id, const std::string& path) const {
-    const auto found = index_.find(id.get<std::int64_t>());
+    const auto found = index_.find(WholeNumber(id, path));
     if (found != index_.end()) return found->second;
     throw FileError(path, 0, "names pose " + id.dump() + ", which is not among the poses of graph.json");
   }
@@ -245,7 +255,7 @@ class Reader {
   RunFolder& run_;
   const bool is_stereo_ = run_.stats.contains("frames");  // stamps are seconds then, and rows in order of arrival
   std::unordered_map<std::int64_t, int> index_;
-  std::unordered_map<long, std::optional<double>> innovations_;  // by factor
+  std::unordered_map<std::int64_t, std::optional<double>> innovations_;  // by factor
 };
 
 }  // namespace
@@ -258,9 +268,9 @@ RunFolder ReadRunFolder(const std::string& path) {
   run.path = path;
   run.name = std::filesystem::canonical(path).filename().string();
   const std::string graph_path = path + "/graph.json";
-  const auto graph = ReadObject<nlohmann::json>(graph_path);
-  run.thresholds = ReadObject<nlohmann::ordered_json>(path + "/thresholds.json");
-  run.stats = ReadObject<nlohmann::ordered_json>(path + "/stats.json");
+  const auto graph = ReadJsonObject<nlohmann::json>(Present(graph_path), "a compact map");
+  run.thresholds = ReadJsonObject<nlohmann::ordered_json>(Present(path + "/thresholds.json"), "thresholds");
+  run.stats = ReadJsonObject<nlohmann::ordered_json>(Present(path + "/stats.json"), "figures");
   Reader reader(run);
   WithJsonErrors(graph_path, 0, [&] { reader.ReadPoses(graph); });
   run.T_world_body = reader.ReadPosesFrom(path + "/trajectory.tum");

@@ -96,9 +96,9 @@ Json Decisions(const RunFolder& run) {
               {"candidates", Json::array()}};
   for (const auto& decision : run.decisions) {
     out["pose_gain"].push_back(Short(decision.at("pose_gain_nats")));
-    out["registrations"].push_back(decision.at("registrations_tried").get<int>());
-    out["accepted"].push_back(decision.at("links_accepted").get<int>());
-    out["refused"].push_back(decision.at("links_refused").get<int>());
+    out["registrations"].push_back(decision.at("registrations_tried").get<std::int64_t>());
+    out["accepted"].push_back(decision.at("links_accepted").get<std::int64_t>());
+    out["refused"].push_back(decision.at("links_refused").get<std::int64_t>());
     Json candidates = Json::array();
     for (const auto& c : decision.at("candidates")) {
       // Absent in folders of earlier versions.

@@ -2,9 +2,8 @@
 
 #include <Eigen/Cholesky>
 #include <cmath>
-#include <filesystem>
-#include <fstream>
 
+#include "json_file.h"
 #include "report.h"
 #include "terse/core/error.h"
 
@@ -17,16 +16,7 @@ FileError KeyError(const std::string& path, const std::string& key, const std::s
   return FileError(path, 0, "key \"" + key + "\" " + cause + ", expected as compact writes it to thresholds.json");
 }
 
-json ReadObject(const std::string& path) {
-  std::error_code error;
-  if (!std::filesystem::exists(path, error)) throw FileError(path, 0, "the file does not exist");
-  std::ifstream file(path, std::ios::binary);
-  const std::string text{std::istreambuf_iterator<char>(file), {}};
-  if (!file) throw FileError(path, 0, "cannot read, expected a thresholds.json");
-  const json object = json::parse(text, nullptr, false);
-  if (!object.is_object()) throw FileError(path, 0, "expected thresholds as a JSON object");
-  return object;
-}
+json ReadObject(const std::string& path) { return ReadJsonObject<json>(path, "thresholds"); }
 
 const json& At(const json& object, const char* key, const std::string& path) {
   const auto it = object.find(key);
@@ -48,7 +38,7 @@ double NonNegative(const json& object, const char* key, const std::string& path)
 int DimensionIn(const json& object, const std::string& path) {
   const json& dimension = At(object, "dimension", path);
   if (dimension != 2 && dimension != 3) throw KeyError(path, "dimension", "is neither 2 nor 3");
-  return dimension.get<int>();
+  return dimension == 2 ? 2 : 3;
 }
 
 std::vector<double> Numbers(const json& list, std::size_t count, const char* key, const std::string& path) {

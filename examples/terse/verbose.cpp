@@ -28,6 +28,7 @@ void AddVerboseOption(CLI::App& subcommand, LogSink& log) {
         };
       },
       "Say on standard error what is done: links, refusals, iterations; -vv: everything");
+  verbose->disable_flag_override();  // --verbose=abc would reach std::stoll
   if (CLI::Option* quiet = subcommand.get_option_no_throw("--quiet")) verbose->excludes(quiet);
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Tuple, Union
@@ -74,7 +75,7 @@ def _number(text: str) -> Optional[float]:
 
 
 def _rows(path: Path, columns: List[str]) -> Iterator[Tuple[int, Dict[str, str]]]:
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
         missing = [c for c in columns if c not in (reader.fieldnames or [])]
         if missing:
@@ -90,6 +91,23 @@ def _file_error(path: Path, line: int, cause: str) -> _terse.FileError:
     error = _terse.FileError(f"{where}: {cause}")
     error.path, error.line, error.cause = str(path), line, cause
     return error
+
+
+# What json, csv, numpy and zipfile find wrong with a file is many kinds of exception; callers handle one.
+@contextmanager
+def _as_file_error(path: Path, expected: str) -> Iterator[None]:
+    if path.exists() and not path.is_file():
+        raise _file_error(path, 0, f"not a regular file, expected {expected}")
+    try:
+        yield
+    except _terse.FileError:
+        raise
+    except json.JSONDecodeError as error:
+        raise _file_error(path, error.lineno, error.msg) from None
+    except RecursionError:
+        raise _file_error(path, 0, f"nested too deeply, expected {expected}") from None
+    except Exception as error:
+        raise _file_error(path, 0, f"expected {expected}: {type(error).__name__}: {error}") from None
 
 
 def _read_decisions(path: Path) -> List[RunDecision]:
@@ -131,32 +149,31 @@ def _read_loops(path: Path, ids: Ints, kept: NDArray[np.bool_]) -> List[RunDecis
 def _read_covariances(folder: Path) -> Tuple[Optional[Ints], Optional[Floats]]:
     archive, table = folder / "covariances.npz", folder / "covariances.csv"
     if archive.exists():
-        try:
-            with np.load(archive) as arrays:
-                return arrays["ids"].astype(np.int64), arrays["covariances"].astype(np.float64)
-        except (KeyError, OSError, ValueError) as error:
-            raise _file_error(archive, 0, f"expected the arrays ids and covariances: {error}") from None
+        with np.load(archive) as arrays:
+            ids, covariances = arrays["ids"].astype(np.int64), arrays["covariances"].astype(np.float64)
+        if ids.ndim != 1 or covariances.ndim != 3 or covariances.shape != (len(ids),) + 2 * covariances.shape[2:]:
+            raise _file_error(archive, 0, f"expected (k,) ids and (k, d, d) covariances, found {ids.shape} and "
+                              f"{covariances.shape}")
+        return ids, covariances
     if not table.exists():
         return None, None
-    ids, blocks = [], []
+    rows, blocks = [], []
     for line, row in _rows(table, ["id"]):
         numbers = list(row.values())
         size = round((len(numbers) - 1) ** 0.5)
         try:
-            ids.append(int(numbers[0]))
+            rows.append(int(numbers[0]))
             blocks.append(np.array(numbers[1:], dtype=np.float64).reshape(size, size))
         except ValueError as error:
             raise _file_error(table, line, str(error)) from None
-    return np.array(ids, dtype=np.int64), np.array(blocks)
+    return np.array(rows, dtype=np.int64), np.array(blocks)
 
 
 def _read_json(path: Path) -> Optional[Dict[str, Any]]:
     if not path.exists():
         return None
-    try:
-        value = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise _file_error(path, error.lineno, error.msg) from None
+    with _as_file_error(path, "a JSON object"):
+        value = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(value, dict):
         raise _file_error(path, 1, "expected a JSON object")
     return value
@@ -171,7 +188,8 @@ def read_run(folder: Union[str, "os.PathLike[str]"]) -> Run:
     graph = _terse.read_graph(path / "compact.g2o")
     trajectory = _terse.read_trajectory(path / "trajectory.tum")
     # A stereo run has seconds for stamps; its ids are the frames' numbers.
-    ids = trajectory.stamps.astype(np.int64)
+    with np.errstate(invalid="ignore"):  # a stamp beyond 64 bits is no id
+        ids = trajectory.stamps.astype(np.int64)
     if not np.array_equal(ids, trajectory.stamps) or not np.isin(graph.ids, ids).all():
         ids = np.arange(len(trajectory), dtype=np.int64)
     if not np.isin(graph.ids, ids).all():
@@ -179,10 +197,14 @@ def read_run(folder: Union[str, "os.PathLike[str]"]) -> Run:
     kept = np.isin(ids, graph.ids)
     decisions: List[RunDecision] = []
     if (path / "decisions.csv").exists():
-        decisions = _read_decisions(path / "decisions.csv")
+        with _as_file_error(path / "decisions.csv", "decisions as compact writes them"):
+            decisions = _read_decisions(path / "decisions.csv")
     elif (path / "loops.csv").exists():
-        decisions = _read_loops(path / "loops.csv", ids, kept)
-    covariance_ids, covariances = _read_covariances(path)
+        with _as_file_error(path / "loops.csv", "loops as kitti writes them"):
+            decisions = _read_loops(path / "loops.csv", ids, kept)
+    has_archive = (path / "covariances.npz").exists()
+    with _as_file_error(path / ("covariances.npz" if has_archive else "covariances.csv"), "ids and covariances"):
+        covariance_ids, covariances = _read_covariances(path)
     return Run(
         graph=graph, ids=ids, kept=kept, poses=trajectory.poses, decisions=decisions, covariance_ids=covariance_ids,
         covariances=covariances, thresholds=_read_json(path / "thresholds.json"), stats=_read_json(path / "stats.json"),

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 
 import terse
@@ -40,3 +41,50 @@ def test_misuse_is_a_value_error():
     ):
         with pytest.raises(ValueError):
             fails()
+
+
+# Whatever json, csv, numpy and zipfile make of a damaged file.
+def test_damaged_run_folders(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "compact.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    (run / "trajectory.tum").write_text("0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    assert terse.read_run(run).stats is None
+
+    def refused(name, content):
+        path = run / name
+        path.write_bytes(content)
+        with pytest.raises(terse.FileError) as caught:
+            terse.read_run(run)
+        assert caught.value.path == str(path) and caught.value.cause
+        path.unlink()
+
+    for name in ("stats.json", "thresholds.json"):
+        for content in (b"[" * 100000, b'{"a":' * 100000, b'{"a": "\xff\xfe"}', b"", b"{", b"[1]", b"\0" * 100,
+                        b'{"a": ' + b"1" * 5000 + b"}"):
+            refused(name, content)
+    decisions = (b"pose,kept,verdict,pose_gain_nats,candidates,probabilities,gains_nats,measured_gains_nats,innovations,"
+                 b"accepted\n")
+    for row in (b"\xff,1,kept,,,,,,,", b"0,1,kept,x,,,,,,", b"0,1", b"0,1,kept,,1,,,,,", b"0,1," + b"v" * 200000 + b",,,,,,,",
+                b"0\0,1,kept,,,,,,,"):
+        refused("decisions.csv", decisions + row + b"\n")
+    refused("decisions.csv", b"")
+    refused("decisions.csv", b"pose,kept\n")
+    refused("loops.csv", b"current,candidate\n0,1\n")
+    refused("loops.csv", b"current,candidate,gain_nats,measured_gain_nats,innovation,accepted\n0,x,,,,1\n")
+    refused("covariances.csv", b"id,a,b,c\n0,1,2,3\n")
+    refused("covariances.csv", b"id,a\n99999999999999999999,1\n")
+    for content in (b"", b"PK\3\4", b"\x93NUMPY\1\0\xff\xff", b"PK\3\4" + b"\xff" * 200, b"not an archive"):
+        refused("covariances.npz", content)
+    np.savez(run / "whole.npz", ids=np.arange(2), covariances=np.zeros((2, 3, 3)))
+    whole = (run / "whole.npz").read_bytes()
+    for end in range(0, len(whole), 7):
+        refused("covariances.npz", whole[:end])
+    for arrays in ({"ids": np.arange(2)}, {"ids": np.arange(2), "covariances": np.zeros((3, 3))},
+                   {"ids": np.arange(3), "covariances": np.zeros((2, 3, 3))},
+                   {"ids": np.array([{}]), "covariances": np.zeros((1, 3, 3))}):
+        np.savez(run / "part.npz", **arrays)
+        refused("covariances.npz", (run / "part.npz").read_bytes())
+    (run / "stats.json").mkdir()
+    with pytest.raises(terse.FileError, match="not a regular file"):
+        terse.read_run(run)

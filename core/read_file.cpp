@@ -1,0 +1,106 @@
+#include "terse/core/read_file.h"
+
+#include <fcntl.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <fstream>
+
+#include "terse/core/descriptor.h"
+#include "terse/core/error.h"
+
+namespace terse {
+namespace {
+
+std::string ErrorText() { return SystemReason(errno); }
+
+class Descriptor {
+ public:
+  explicit Descriptor(const std::string& path) : number_(::open(path.c_str(), O_RDONLY | O_CLOEXEC)) {
+    if (number_ >= 0) return;
+    throw FileError(path, 0, errno == ENOENT ? "the file does not exist" : "cannot read: " + ErrorText());
+  }
+  ~Descriptor() { ::close(number_); }
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  int Number() const { return number_; }
+
+ private:
+  int number_;
+};
+
+std::string Mebibytes(std::uint64_t bytes) {
+  constexpr std::uint64_t kMebibyte = std::uint64_t{1} << 20;
+  return bytes % kMebibyte == 0 ? std::to_string(bytes / kMebibyte) + " MiB" : std::to_string(bytes) + " bytes";
+}
+
+FileError TooLarge(const std::string& path, std::uint64_t most) {
+  return FileError(path, 0, "the file is too large or has no end, expected at most " + Mebibytes(most));
+}
+
+// "max" where there is no limit.
+std::uint64_t NumberIn(const char* path) {
+  std::ifstream file(path);
+  std::uint64_t number = 0;
+  return file >> number ? number : UINT64_MAX;
+}
+
+std::uint64_t FindUsableMemory() {
+  std::uint64_t least = UINT64_MAX;
+  const long pages = ::sysconf(_SC_PHYS_PAGES), page = ::sysconf(_SC_PAGESIZE);
+  if (pages > 0 && page > 0) least = static_cast<std::uint64_t>(pages) * static_cast<std::uint64_t>(page);
+  least = std::min(least, NumberIn("/sys/fs/cgroup/memory.max"));
+  least = std::min(least, NumberIn("/sys/fs/cgroup/memory/memory.limit_in_bytes"));
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_AS, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY) {
+    least = std::min<std::uint64_t>(least, limit.rlim_cur);
+  }
+  return least;
+}
+
+}  // namespace
+
+std::uint64_t UsableMemory() {
+  static const std::uint64_t bytes = FindUsableMemory();
+  return bytes;
+}
+
+std::uint64_t MostFileBytes(std::uint64_t limit, std::uint64_t share_of_memory) {
+  constexpr std::uint64_t kMebibyte = std::uint64_t{1} << 20;
+  return std::min(limit, std::max(UsableMemory() / share_of_memory / kMebibyte, std::uint64_t{1}) * kMebibyte);
+}
+
+std::string ReadAll(const std::string& path, const ReadLimits& limits) {
+  const Descriptor file(path);
+  struct stat status {};
+  if (::fstat(file.Number(), &status) != 0) throw FileError(path, 0, "cannot read: " + ErrorText());
+  if (S_ISDIR(status.st_mode)) throw FileError(path, 0, "cannot read: it is a folder, expected a file");
+  std::string content;
+  if (S_ISREG(status.st_mode)) {
+    const auto size = static_cast<std::uint64_t>(status.st_size);
+    if (size > limits.most_bytes) throw TooLarge(path, limits.most_bytes);
+    content.reserve(size + 1);  // it is on the disk; a sparse file costs no memory until it is read
+  }
+  std::array<char, 1 << 16> chunk;
+  bool is_checked = !limits.check_start;
+  const auto check = [&] {
+    is_checked = true;
+    limits.check_start(content);
+  };
+  while (true) {
+    const long count = ReadSome(file.Number(), chunk.data(), chunk.size());
+    if (count < 0) throw FileError(path, 0, "cannot read: " + ErrorText());
+    if (count == 0) break;
+    if (content.size() + static_cast<std::uint64_t>(count) > limits.most_bytes) throw TooLarge(path, limits.most_bytes);
+    content.append(chunk.data(), static_cast<std::size_t>(count));
+    if (!is_checked && content.size() >= chunk.size()) check();
+  }
+  if (!is_checked) check();
+  return content;
+}
+
+}  // namespace terse
