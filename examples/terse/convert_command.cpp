@@ -3,6 +3,7 @@
 #include <fstream>
 
 #include "commands.h"
+#include "output_paths.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
@@ -50,6 +51,7 @@ Trajectory ValuesOf(const PoseGraph<Pose>& graph, const std::string& path) {
 }
 
 void Convert(const ConvertOptions& options) {
+  CheckOutputPaths({{"OUT", options.output}}, {{"IN", options.input}});
   const std::string extension = std::filesystem::path(options.output).extension().string();
   const bool to_tum = extension == ".tum", to_kitti = extension == ".kitti" || extension == ".txt";
   if (!to_tum && !to_kitti && extension != ".g2o" && extension != ".graph") {
