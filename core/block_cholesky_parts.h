@@ -24,6 +24,8 @@ struct BlockCholesky<B>::Undo {
   int variables = 0;
   std::vector<int> added;
   std::vector<std::pair<int, LinearFactor<B>>> replaced, removed;
+  std::vector<std::pair<int, Vector<B>>> diagonals;  // of old variables, as they were before each change
+  std::vector<int> recounted;                        // variables whose diagonal was summed from the start
 
   // Calls visit(variable) for the variables of all these factors, some more than once; the added ones are in `slots`.
   template <class Visit>

@@ -23,10 +23,17 @@ template <int B>
 void BlockCholesky<B>::Attach(int slot) {
   const LinearFactor<B>& f = factors_[At(slot)];
   for (const int v : {f.first, f.second}) {
-    if (v < 0) continue;
-    auto& list = slots_of_[At(v)];
-    list.insert(std::lower_bound(list.begin(), list.end(), slot), slot);
+    if (v >= 0) AttachTo(v, slot);
   }
+}
+
+// Returns whether the slot is the last of the variable's.
+template <int B>
+bool BlockCholesky<B>::AttachTo(int variable, int slot) {
+  auto& list = slots_of_[At(variable)];
+  const bool is_last = list.empty() || list.back() < slot;
+  list.insert(is_last ? list.end() : std::lower_bound(list.begin(), list.end(), slot), slot);
+  return is_last;
 }
 
 template <int B>
@@ -65,10 +72,22 @@ void BlockCholesky<B>::RecountDiagonal(int variable) {
   }
 }
 
-// Of the touched variables.
+// Attaches a new factor and adds it to the diagonal. The sums are taken in the order of the slots: one behind all others
+// can be added to what is there, so that a pose costs the same whatever number of factors it has; after any other the
+// variable has to be counted again.
 template <int B>
-void BlockCholesky<B>::RecountDiagonals(const Undo& undo) {
-  undo.VisitVariables(factors_, [&](int variable) { RecountDiagonal(variable); });
+void BlockCholesky<B>::AttachNew(int slot, Undo& undo) {
+  const LinearFactor<B>& f = factors_[At(slot)];
+  for (const int v : {f.first, f.second}) {
+    if (v < 0) continue;
+    if (v < undo.variables) undo.diagonals.emplace_back(v, diagonal_[At(v)]);
+    if (AttachTo(v, slot)) {
+      const Normal& n = normals_[At(slot)];
+      diagonal_[At(v)] += (f.first == v ? n.H_first : n.H_second).diagonal();
+    } else {
+      undo.recounted.push_back(v);
+    }
+  }
 }
 
 // Leaves `undo` able to take back what was done so far, whatever throws.
@@ -78,6 +97,8 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
   undo.added.reserve(changes.added.size());
   undo.replaced.reserve(changes.replaced.size());
   undo.removed.reserve(changes.removed.size());
+  undo.diagonals.reserve(2 * (changes.replaced.size() + changes.removed.size()));
+  undo.recounted.reserve(undo.diagonals.capacity());
   added_slots.reserve(changes.added.size());
   // Neither committing nor taking back allocates.
   internal::ReserveMore(free_slots_, changes.added.size() + changes.removed.size());
@@ -87,12 +108,21 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
   diagonal_.resize(total, Vector<B>::Zero());
   solution_.resize(total * B, 0.0);
   front_of_.resize(total, -1);
+  const auto recount = [&](int slot) {
+    for (const int v : {factors_[At(slot)].first, factors_[At(slot)].second}) {
+      if (v < 0) continue;
+      undo.diagonals.emplace_back(v, diagonal_[At(v)]);
+      undo.recounted.push_back(v);
+    }
+  };
   for (const int slot : changes.removed) {
+    recount(slot);
     undo.removed.emplace_back(slot, factors_[At(slot)]);
     Detach(slot);
     factors_[At(slot)].first = -1;
   }
   for (const auto& [slot, factor] : changes.replaced) {
+    recount(slot);
     undo.replaced.emplace_back(slot, factors_[At(slot)]);
     SetSlot(slot, factor);
   }
@@ -108,9 +138,11 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
     SetSlot(slot, factor);
     undo.added.push_back(slot);
     added_slots.push_back(slot);
-    Attach(slot);
+    AttachNew(slot, undo);
   }
-  RecountDiagonals(undo);
+  std::sort(undo.recounted.begin(), undo.recounted.end());
+  undo.recounted.erase(std::unique(undo.recounted.begin(), undo.recounted.end()), undo.recounted.end());
+  for (const int v : undo.recounted) RecountDiagonal(v);
 }
 
 template <int B>
@@ -121,7 +153,7 @@ void BlockCholesky<B>::RevertFactors(const Undo& undo) {
     SetSlot(slot, factor);
     Attach(slot);  // into lists that had room for it
   }
-  RecountDiagonals(undo);
+  for (auto it = undo.diagonals.rbegin(); it != undo.diagonals.rend(); ++it) diagonal_[At(it->first)] = it->second;
   for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) {
     factors_[At(*it)].first = -1;
     free_slots_.push_back(*it);
@@ -241,10 +273,11 @@ std::optional<std::vector<typename BlockCholesky<B>::SlotChange>> BlockCholesky<
   template void BlockCholesky<B>::CheckChanges(const Changes&) const;                                             \
   template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                                           \
   template void BlockCholesky<B>::RecountDiagonal(int);                                                           \
-  template void BlockCholesky<B>::RecountDiagonals(const Undo&);                                                  \
+  template void BlockCholesky<B>::AttachNew(int, Undo&);                                                          \
   template void BlockCholesky<B>::ApplyFactors(const Changes&, std::vector<int>&, Undo&);                         \
   template void BlockCholesky<B>::RevertFactors(const Undo&);                                                     \
   template void BlockCholesky<B>::Attach(int);                                                                    \
+  template bool BlockCholesky<B>::AttachTo(int, int);                                                             \
   template void BlockCholesky<B>::Detach(int);                                                                    \
   template void BlockCholesky<B>::Remember(const Undo&) noexcept;                                                 \
   template std::optional<std::vector<BlockCholesky<B>::SlotChange>> BlockCholesky<B>::ChangesSince(std::uint64_t) \

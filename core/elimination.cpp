@@ -3,6 +3,7 @@
 #include <ccolamd.h>
 
 #include <algorithm>
+#include <cmath>
 #include <new>
 #include <stdexcept>
 
@@ -11,8 +12,39 @@ namespace {
 
 using std::size_t;
 
-// Elimination order, first to last, as variables.
-std::vector<int> Order(int variables, const Cliques& cliques, const std::vector<char>& order_last) {
+// A variable in more cliques than this is a hub. Minimum degree looks through all cliques of a hub whenever one of its
+// neighbours is eliminated, so hubs are kept out of it and come last.
+constexpr int kHub = 1000;
+
+// Each set of two or more members once, in ascending order.
+Cliques DistinctCliques(const Cliques& cliques) {
+  std::vector<std::vector<int>> sets;
+  for (int c = 0; c < cliques.Count(); ++c) {
+    const auto begin = cliques.members.begin() + cliques.start[static_cast<size_t>(c)];
+    const auto end = cliques.members.begin() + cliques.start[static_cast<size_t>(c) + 1];
+    if (end - begin < 2) continue;
+    sets.emplace_back(begin, end);
+    std::sort(sets.back().begin(), sets.back().end());
+  }
+  std::sort(sets.begin(), sets.end());
+  sets.erase(std::unique(sets.begin(), sets.end()), sets.end());
+  Cliques out;
+  for (const auto& set : sets) {
+    out.members.insert(out.members.end(), set.begin(), set.end());
+    out.Close();
+  }
+  return out;
+}
+
+bool HasHub(int variables, const Cliques& cliques) {
+  std::vector<int> count(static_cast<size_t>(variables), 0);
+  return std::any_of(cliques.members.begin(), cliques.members.end(),
+                     [&](int v) { return ++count[static_cast<size_t>(v)] > kHub; });
+}
+
+// Elimination order, first to last, as variables. Where `withhold_hubs`, they come last.
+std::vector<int> MinimumDegree(int variables, const Cliques& cliques, const std::vector<char>& order_last,
+                               bool withhold_hubs) {
   const size_t n = static_cast<size_t>(variables);
   // Columns are variables, rows are cliques that couple something.
   std::vector<int> column_start(n + 1, 0);
@@ -46,7 +78,8 @@ std::vector<int> Order(int variables, const Cliques& cliques, const std::vector<
   double knobs[CCOLAMD_KNOBS];
   ccolamd_set_defaults(knobs);
   knobs[CCOLAMD_DENSE_ROW] = -1;
-  knobs[CCOLAMD_DENSE_COL] = -1;
+  // CCOLAMD takes its limit as a multiple of this root.
+  knobs[CCOLAMD_DENSE_COL] = withhold_hubs ? kHub / std::sqrt(std::max(1.0, 1.0 * std::min(rows, variables))) : -1;
   int stats[CCOLAMD_STATS];
   if (ccolamd(rows, variables, static_cast<int>(length), indices.data(), column_start.data(), knobs, stats,
               member.data()) == 0) {
@@ -54,6 +87,13 @@ std::vector<int> Order(int variables, const Cliques& cliques, const std::vector<
   }
   column_start.pop_back();
   return column_start;
+}
+
+std::vector<int> Order(int variables, const Cliques& cliques, const std::vector<char>& order_last) {
+  if (!HasHub(variables, cliques)) return MinimumDegree(variables, cliques, order_last, false);
+  // Many parallel edges make no hub: to an order they are one.
+  const Cliques distinct = DistinctCliques(cliques);
+  return MinimumDegree(variables, distinct, order_last, HasHub(variables, distinct));
 }
 
 struct WorkFront {

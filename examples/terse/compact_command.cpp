@@ -6,6 +6,7 @@
 #include "compact_map_file.h"
 #include "compact_output.h"
 #include "compact_run.h"
+#include "output_paths.h"
 #include "report.h"
 #include "run_report.h"
 #include "terse/compact/compact_map.h"
@@ -280,6 +281,10 @@ std::optional<GraphJson> ReadContinued(CompactCommandOptions& options) {
 }
 
 void Compact(CompactCommandOptions options) {
+  // The folder of --continue may be that of --output: the map grows in place.
+  CheckOutputPaths(
+      RunFiles("--output", options.directory),
+      {{"FILE", options.path}, {"--thresholds", options.thresholds}, {"--ground-truth", options.ground_truth}});
   const double start = SecondsNow();
   const std::optional<GraphJson> before = ReadContinued(options);
   if (!options.strategy) options.strategy = Strategy::kFpfl;

@@ -4,6 +4,7 @@
 #include <string_view>
 
 #include "commands.h"
+#include "output_paths.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
@@ -52,6 +53,7 @@ Trajectory ValuesOf(const PoseGraph<Pose>& graph, const std::string& path) {
 }
 
 void Convert(const ConvertOptions& options) {
+  CheckOutputPaths({{"OUT", options.output}}, {{"IN", options.input}});
   const std::string extension = std::filesystem::path(options.output).extension().string();
   const bool to_tum = extension == ".tum", to_kitti = extension == ".kitti" || extension == ".txt";
   if (!to_tum && !to_kitti && extension != ".g2o" && extension != ".graph") {

@@ -5,6 +5,7 @@
 
 #include "commands.h"
 #include "covariance_output.h"
+#include "output_paths.h"
 #include "progress.h"
 #include "report.h"
 #include "start.h"
@@ -234,6 +235,7 @@ void WriteCovariance(const PoseGraph<Pose>& graph, const CovarianceCommandOption
 }
 
 void RunCovariance(const CovarianceCommandOptions& options) {
+  CheckOutputPaths({{"--output", options.output}}, {{"FILE", options.path}});
   if (options.output != "-") RequireWritable(options.output);
   const GraphFile file = ReadGraph(options.path, options.read);
   if (!options.quiet) ReportRepairs(file, options.path);

@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "commands.h"
+#include "output_paths.h"
 #include "progress.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/batch_solver.h"
@@ -174,6 +175,10 @@ void AddToGraph(const PoseGraph<Pose>& graph, const GenerateCommandOptions& opti
 }
 
 void RunGenerate(GenerateCommandOptions options) {
+  CheckOutputPaths({{"--output", options.output},
+                    {"--ground-truth", options.ground_truth},
+                    {"--outliers-list", options.outliers_list}},
+                   {{"--from", options.from}});
   if (options.from.empty()) {
     options.generate.scene = SceneFromName(options.scene).value();
     GenerateScene(options);

@@ -6,6 +6,7 @@
 #include "compact_output.h"
 #include "kitti_output.h"
 #include "kitti_run.h"
+#include "output_paths.h"
 #include "run_report.h"
 #include "terse/core/error.h"
 #include "thresholds_file.h"
@@ -85,6 +86,8 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
 }
 
 void Kitti(const KittiCommandOptions& options) {
+  CheckOutputPaths(RunFiles("--output", options.directory),
+                   {{"--thresholds", options.thresholds}, {"--ground-truth", options.ground_truth}});
   const KittiSequence sequence(options.path);
   const std::vector<int> frames = ChooseFrames(sequence, options);
   // Before the long run, not after it.

@@ -78,7 +78,11 @@ int Run(int argc, char** argv) {
     app.parse(argc, argv);
     return 0;
   } catch (const CLI::ParseError& error) {
-    if (error.get_exit_code() == 0) return app.exit(error);  // --help, --version
+    if (error.get_exit_code() == 0) {  // --help, --version
+      app.exit(error);
+      terse::FlushOutput();
+      return 0;
+    }
     const std::string unknown = DescribeUnknown(app);
     Fail(unknown.empty() ? error.what() : unknown, 2);
     std::cerr << "Run with --help for more information.\n";

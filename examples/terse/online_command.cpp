@@ -11,6 +11,7 @@
 #include "json_file.h"
 #include "line_source.h"
 #include "online_json.h"
+#include "output_paths.h"
 #include "policy.h"
 #include "report.h"
 #include "terse/core/limits.h"
@@ -338,6 +339,13 @@ void Online(const OnlineCommandOptions& options) {
   if (options.strategy != Strategy::kApal && options.thresholds.empty() && options.range.empty()) {
     throw CLI::ValidationError("--thresholds", "this or --range is required");
   }
+  std::vector<NamedPath> outputs{{"--journal", options.journal}};
+  if (!options.directory.empty()) {
+    for (NamedPath& file : FilesIn("--output", options.directory, {"compact.g2o", "trajectory.tum", "decisions.csv"})) {
+      outputs.push_back(std::move(file));
+    }
+  }
+  CheckOutputPaths(outputs, {{"standard input", "/dev/stdin"}, {"--thresholds", options.thresholds}});
   if (!options.directory.empty()) RequireFolder(options.directory);
   std::optional<Journal> journal;
   if (!options.journal.empty()) journal.emplace(options.journal);

@@ -39,7 +39,7 @@ void AddReferenceOptions(CLI::App& app) {
   const auto add = [&app](const std::string& name, std::string (*write)(const CLI::App&)) {
     app.add_flag_callback(name,
                           [&app, write] {
-                            std::cout << write(app) << std::flush;
+                            std::cout << write(app);  // main flushes it
                             throw CLI::Success();  // before a subcommand is asked for
                           })
         ->group("");

@@ -5,6 +5,7 @@
 #include <iostream>
 
 #include "commands.h"
+#include "output_paths.h"
 #include "run_report.h"
 
 namespace terse {
@@ -40,6 +41,11 @@ void Report(const ReportOptions& options) {
   if (output.empty()) {
     output = options.folders.front() + (options.folders.size() == 1 ? "/report.html" : "/comparison.html");
   }
+  std::vector<NamedPath> inputs;
+  for (const std::string& folder : options.folders) {
+    for (NamedPath& file : RunFiles("DIR", folder)) inputs.push_back(std::move(file));
+  }
+  CheckOutputPaths({{"--output", output}}, inputs);
   WriteReport(options.folders, output);
   output = std::filesystem::absolute(output).lexically_normal().string();
   if (!options.quiet && std::filesystem::is_regular_file(output)) {

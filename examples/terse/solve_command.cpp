@@ -5,6 +5,7 @@
 
 #include "commands.h"
 #include "covariance_output.h"
+#include "output_paths.h"
 #include "policy.h"
 #include "progress.h"
 #include "report.h"
@@ -264,6 +265,12 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
 }
 
 void Solve(const SolveOptions& options) {
+  CheckOutputPaths({{"--output", options.output},
+                    {"--trajectory", options.trajectory},
+                    {"--covariance-output", options.covariance_output},
+                    {"--stats", options.stats},
+                    {"--steps", options.steps}},
+                   {{"FILE", options.path}});
   for (const auto& path :
        {options.output, options.trajectory, options.covariance_output, options.stats, options.steps}) {
     RequireWritable(path);

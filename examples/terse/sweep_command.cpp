@@ -6,6 +6,7 @@
 #include "commands.h"
 #include "compact_run.h"
 #include "ground_truth.h"
+#include "output_paths.h"
 #include "progress.h"
 #include "report.h"
 #include "svg_chart.h"
@@ -173,6 +174,9 @@ void WriteChart(const Sweep& sweep, const SweepOptions& options, const std::stri
 }
 
 void SweepFile(const SweepOptions& options) {
+  CheckOutputPaths(
+      {{"--csv", options.csv}, {"--svg", options.svg}},
+      {{"FILE", options.path}, {"--thresholds", options.thresholds}, {"--ground-truth", options.ground_truth}});
   const GraphFile file = ReadGraph(options.path, options.read);
   if (!options.quiet) ReportRepairs(file, options.path);
   RequireWritable(options.csv);

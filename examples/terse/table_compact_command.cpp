@@ -9,6 +9,7 @@
 #include "compact_table.h"
 #include "compact_table_text.h"
 #include "document.h"
+#include "output_paths.h"
 #include "report.h"
 #include "run_report.h"
 #include "terse/core/error.h"
@@ -70,9 +71,13 @@ nlohmann::ordered_json AllJson(const std::vector<CompactTableRow>& rows, const s
 void RunTable(const Options& options) {
   const std::vector<CompactGraphName> names = Chosen(options.graphs);
   // Before the first of many minutes, not after them.
+  std::vector<NamedPath> inputs;
   for (const CompactGraphName& name : names) {
-    if (!name.is_generated) FindGraphFile(name, options.folder);
+    if (!name.is_generated) inputs.push_back({"DIR", FindGraphFile(name, options.folder)});
   }
+  std::vector<NamedPath> outputs{{"--update", options.update}};
+  if (!options.output.empty()) outputs.push_back({"--output", options.output + "/tables.json"});
+  CheckOutputPaths(outputs, inputs);
   if (!options.output.empty()) MakeFolder(options.output);
   if (!options.update.empty()) RequirePlace(options.update, kMark);
   std::vector<CompactTableRow> rows;

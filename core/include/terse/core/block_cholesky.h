@@ -193,10 +193,11 @@ class BlockCholesky {
   void ApplyFactors(const Changes& changes, std::vector<int>& added_slots, Undo& undo);
   void RevertFactors(const Undo& undo);
   void Attach(int slot);
+  bool AttachTo(int variable, int slot);
+  void AttachNew(int slot, Undo& undo);
   void Detach(int slot);
   void Remember(const Undo& undo) noexcept;
   void RecountDiagonal(int variable);
-  void RecountDiagonals(const Undo& undo);
   // block_cholesky_region.cpp: the touched part of the tree and its new elimination.
   void AffectedFronts(const Undo& undo, std::vector<int>& affected);
   void CollectCliques(int old_variables, Region& region);
