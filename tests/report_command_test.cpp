@@ -265,35 +265,35 @@ TEST_F(ReportCommand, ClipsEllipsesToTheirPanel) {
 // the picture.
 TEST_F(ReportCommand, FollowsNoPlantedLink) {
   Write("precious", "not for writing");
-  fs::create_directory(Path("shared"));
+  std::filesystem::create_directory(Path("shared"));
   for (const char* name : {"trajectory.png.new", "trajectory.tmp.svg", "trajectory.svg"}) {
-    fs::create_symlink(Path("precious"), Path("shared") + "/" + name);
+    std::filesystem::create_symlink(Path("precious"), Path("shared") + "/" + name);
   }
-  fs::create_directory(Path("tmp"));
+  std::filesystem::create_directory(Path("tmp"));
   setenv("TMPDIR", Path("tmp").c_str(), 1);
   Succeed("plot fpfl --what trajectory --format png --width 320 --output shared");
   unsetenv("TMPDIR");
   EXPECT_EQ(Read("precious"), "not for writing");
   EXPECT_EQ(Read("shared/trajectory.png").substr(1, 3), "PNG");
   long files = 0;
-  for (const auto& entry : fs::directory_iterator(Path("shared"))) files += entry.is_symlink() ? 0 : 1;
+  for (const auto& entry : std::filesystem::directory_iterator(Path("shared"))) files += entry.is_symlink() ? 0 : 1;
   EXPECT_EQ(files, 1) << "nothing but the picture is left";
-  EXPECT_TRUE(fs::is_empty(Path("tmp")));
+  EXPECT_TRUE(std::filesystem::is_empty(Path("tmp")));
 }
 
 // A program of that name that fails leaves the old picture as it was.
 TEST_F(ReportCommand, KeepsThePictureThatCannotBeDrawnAgain) {
-  fs::create_directory(Path("bin"));
+  std::filesystem::create_directory(Path("bin"));
   Write("bin/rsvg-convert", "#!/bin/sh\necho half a picture\nexit 3\n");
-  fs::permissions(Path("bin/rsvg-convert"), fs::perms::owner_all);
-  fs::create_directory(Path("kept"));
+  std::filesystem::permissions(Path("bin/rsvg-convert"), std::filesystem::perms::owner_all);
+  std::filesystem::create_directory(Path("kept"));
   Write("kept/trajectory.png", "old");
   const std::string path = std::getenv("PATH");
   setenv("PATH", (Path("bin") + ":" + path).c_str(), 1);
   ExpectFailure("plot fpfl --what trajectory --format png --output kept", 1, "rsvg-convert could not draw it");
   setenv("PATH", path.c_str(), 1);
   EXPECT_EQ(Read("kept/trajectory.png"), "old");
-  EXPECT_EQ(std::distance(fs::directory_iterator(Path("kept")), fs::directory_iterator()), 1);
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(Path("kept")), std::filesystem::directory_iterator()), 1);
 }
 
 TEST_F(ReportCommand, DrawsPng) {
