@@ -20,7 +20,7 @@ test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_p
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
 .PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
-  readme-picture install package asan format format-check deps clean help
+  readme-picture install package asan fuzz format format-check deps clean help
 .DEFAULT_GOAL := all
 
 # With the Python package where it is switched on, which `make install` and `make package` then take along.
@@ -99,6 +99,12 @@ package: all ## make a Debian package, build/terse_VERSION_ARCH.deb
 asan: build-asan/build.ninja ## build and test with the address and undefined-behaviour sanitizers
 	@cmake --build build-asan -j $(JOBS)
 	@ctest --preset asan-ubsan -j $(JOBS)
+
+SECONDS = 60
+fuzz: build-asan/build.ninja ## fuzz every reader for SECONDS=60 each; what is found lies in build-asan/fuzz
+	@cmake --build build-asan -j $(JOBS) --target fuzzers
+	@status=0; for program in build-asan/bin/fuzz_*; do echo "$${program#build-asan/bin/}, $(SECONDS) s"; \
+	  tests/fuzz/run.sh $$program $(SECONDS) build-asan/fuzz || status=1; done; exit $$status
 
 format: ## format all sources
 	@.ci/packages clang-format

@@ -20,6 +20,9 @@
 namespace terse {
 namespace {
 
+constexpr char kCutOff[] = "the PNG image is cut off, expected more bytes";
+// For a comment, a colour profile and the like, which take what they claim to be long.
+constexpr png_alloc_size_t kMostChunkBytes = 8000000;
 // Deflate makes no more of a byte; a file of n bytes that promises more pixels than this allows cannot hold them.
 constexpr std::uint64_t kMostInflation = 1032;
 
@@ -77,6 +80,7 @@ struct Writer {
 bool ReadHeader(png_structp png, png_infop info, Transfer& transfer) {
   if (setjmp(png_jmpbuf(png)) != 0) return false;
   png_set_read_fn(png, &transfer, TakeBytes);
+  png_set_chunk_malloc_max(png, kMostChunkBytes);
   png_read_info(png, info);
   const std::uint64_t width = png_get_image_width(png, info), height = png_get_image_height(png, info);
   if (width * height > kMostImagePixels) png_error(png, "it is too large, expected at most 2^26 pixels");
@@ -120,8 +124,22 @@ std::vector<png_bytep> Rows(cv::Mat& image) {
   return rows;
 }
 
+// libpng takes memory for what a chunk claims to be long before it finds that the file ends: look first. The signature
+// is there.
+bool ChunksEndInside(const std::string& bytes) {
+  constexpr std::size_t kSignature = 8, kFrame = 12;  // of a chunk: length, name, checksum
+  for (std::size_t at = kSignature; bytes.size() - at >= kFrame;) {
+    std::size_t length = 0;
+    for (std::size_t k = 0; k < 4; ++k) length = length << 8 | static_cast<unsigned char>(bytes[at + k]);
+    if (bytes.compare(at + 4, 4, "IEND") == 0) return true;
+    if (length > bytes.size() - at - kFrame) return false;
+    at += kFrame + length;
+  }
+  return true;  // libpng says what is missing
+}
+
 FileError ReadError(const std::string& path, const Transfer& transfer) {
-  if (transfer.cut_off) return FileError(path, 0, "the PNG image is cut off, expected more bytes");
+  if (transfer.cut_off) return FileError(path, 0, kCutOff);
   return FileError(path, 0, std::string("the PNG image cannot be decoded: ") + transfer.message);
 }
 
@@ -136,6 +154,7 @@ cv::Mat ReadGreyPng(const std::string& path) {
   };
   const std::string bytes = ReadAll(path, {MostFileBytes(kMostImageBytes, 4), expect_png});
   const auto* begin = reinterpret_cast<const png_byte*>(bytes.data());
+  if (!ChunksEndInside(bytes)) throw FileError(path, 0, kCutOff);
   Reader reader;
   if (reader.info == nullptr) throw std::bad_alloc();
   reader.transfer.bytes = begin;

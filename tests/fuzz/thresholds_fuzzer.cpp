@@ -1,0 +1,31 @@
+// thresholds.json; what was read is written and read again to the same numbers.
+
+#include "fuzzing.h"
+#include "thresholds_file.h"
+
+namespace terse::fuzz {
+namespace {
+
+template <class Pose>
+void ReadAs(const std::string& path, const ScratchFolder& folder) {
+  CompactOptions<Pose> options, again;
+  if (!Done([&] { ReadThresholds(path, options); })) return;
+  const std::string copy = folder.Path("again.json");
+  WriteThresholds(options, copy);
+  ReadThresholds(copy, again);
+  Expect(ThresholdsToJson(options) == ThresholdsToJson(again), "the same thresholds");
+}
+
+}  // namespace
+}  // namespace terse::fuzz
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  using namespace terse;
+  static fuzz::InputFile file;
+  static fuzz::ScratchFolder folder;
+  const std::string& path = file.With(fuzz::AsText(data, size));
+  fuzz::Done([&] { ReadThresholdsDimension(path); });
+  fuzz::ReadAs<SE2>(path, folder);
+  fuzz::ReadAs<SE3>(path, folder);
+  return 0;
+}
