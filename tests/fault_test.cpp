@@ -33,9 +33,12 @@ class FaultTest : public terse::testing::CommandTest {
   // How many calls of the command can be hit.
   int CountCalls(const std::string& command) const {
     EXPECT_EQ(RunWith("", command).exit_code, 0) << Read(".err");
-    const int calls = std::stoi(Read("count"));
-    EXPECT_GT(calls, 3);
-    return calls;
+    return std::stoi(Read("count"));
+  }
+  // And how many reads, after CountCalls.
+  int CountedReads() const {
+    const std::string counts = Read("count");
+    return std::stoi(counts.substr(counts.find(' ')));
   }
   std::map<std::string, std::string> Files(const std::string& name) const {
     std::map<std::string, std::string> out;
@@ -76,6 +79,7 @@ class JournalFault : public FaultTest {
     whole_ = Answers(RunWith("", Online("journal", "whole")).out);
     whole_journal_ = Read("journal");
     calls_ = CountCalls(Online("counted", "counted_out"));
+    EXPECT_GT(calls_, 30);
     EXPECT_GT(whole_.size(), 5u);
   }
   static std::string Online(const std::string& journal, const std::string& output, const std::string& input = "input") {
@@ -264,6 +268,64 @@ TEST_F(FaultTest, ASavedStateIsTheOldOneOrTheNewOne) {
       }
     }
   }
+}
+
+TEST_F(JournalFault, ReadsThatFailAreToldAndOthersGoneOnWith) {
+  // The lines come from the journal and from standard input.
+  const std::size_t half = lines_.size() / 2;
+  std::string rest;
+  for (std::size_t k = half; k < lines_.size(); ++k) rest += lines_[k] + '\n';
+  Write("rest", rest);
+  const std::string begun = KeepLines(whole_journal_, half);
+  Write("hit", begun);
+  CountCalls(Online("hit", "hit_out", "rest"));
+  const int reads = CountedReads();
+  ASSERT_GT(reads, 3);
+  int failed = 0;
+  for (const char* action : {"read-io", "read-intr", "read-short"}) {
+    for (int call = 1; call <= reads; ++call) {
+      const std::string fault = At(action, call);
+      fs::remove_all(Path("hit_out"));
+      Write("hit", begun);
+      const Result result = RunWith(fault, Online("hit", "hit_out", "rest"));
+      if (action == std::string("read-io") && result.exit_code != 0) {
+        ExpectSaysSo(fault, result);
+        EXPECT_EQ(Read("hit").rfind(begun, 0), 0u) << fault;
+        ++failed;
+        continue;
+      }
+      EXPECT_EQ(result.exit_code, 0) << Describe(fault, result);
+      EXPECT_EQ(Files("hit_out"), Files("whole")) << fault;
+    }
+  }
+  EXPECT_GE(failed, 2);
+}
+
+TEST_F(FaultTest, FilesThatCannotBeReadAreNamed) {
+  const std::string command = kCommand + "compact '" TERSE_SOURCE_DIR "/data/ellipse.g2o' --quiet --output out";
+  ASSERT_EQ(RunWith("", command).exit_code, 0);
+  const auto whole = Files("out");
+  for (const std::string& reading :
+       {kCommand + "info out/compact.g2o --json", kCommand + "evaluate out/trajectory.tum out/trajectory.tum --json",
+        kCommand + "report out --output page.html", kCommand + "plot out --output drawn"}) {
+    CountCalls(reading);
+    const std::string expected = RunWith("", reading).out;
+    const int reads = CountedReads();
+    EXPECT_GT(reads, 1) << reading;
+    for (const char* action : {"read-io", "read-intr", "read-short"}) {
+      for (int call = 1; call <= reads; ++call) {
+        const std::string fault = At(action, call);
+        const Result result = RunWith(fault, reading);
+        if (action == std::string("read-io") && result.exit_code != 0) {
+          ExpectSaysSo(fault, result);
+        } else {
+          EXPECT_EQ(result.exit_code, 0) << Describe(fault, result) << reading;
+          EXPECT_EQ(result.out, expected) << fault;
+        }
+      }
+    }
+  }
+  EXPECT_EQ(Files("out"), whole);
 }
 
 }  // namespace

@@ -7,7 +7,10 @@
 //   io      it fails with EIO
 //   intr    it fails with EINTR, if it is a write or a sync
 //   short   half of the write is done
-// TERSE_FAULT_COUNT names a file that the number of these calls is written to at the end.
+// or, for the N-th call of read:
+//   read-io, read-intr   it fails with EIO or EINTR
+//   read-short           it brings one byte
+// TERSE_FAULT_COUNT names a file that the number of these calls, and of those of read, is written to at the end.
 
 #include <dlfcn.h>
 #include <fcntl.h>
@@ -26,7 +29,7 @@ namespace {
 
 enum class Call { kWrite, kSync, kOther };
 
-std::atomic<long> calls{0};
+std::atomic<long> calls{0}, reads{0};
 std::atomic<bool> full{false};
 
 template <class Function>
@@ -68,10 +71,10 @@ struct AtEnd {
   ~AtEnd() {
     const char* const path = std::getenv("TERSE_FAULT_COUNT");
     if (path == nullptr) return;
-    const long count = calls;
+    const long count = calls, read_count = reads;
     const int descriptor = open(path, O_WRONLY | O_CREAT | O_TRUNC, 0600);
     if (descriptor < 0) return;
-    dprintf(descriptor, "%ld\n", count);
+    dprintf(descriptor, "%ld %ld\n", count, read_count);
     close(descriptor);
   }
 } at_end;
@@ -106,6 +109,14 @@ ssize_t writev(int descriptor, const struct iovec* parts, int count) {
     if (part < static_cast<ssize_t>(parts[k].iov_len)) break;
   }
   return done;
+}
+
+ssize_t read(int descriptor, void* bytes, size_t size) {
+  static const auto real = Next<ssize_t (*)(int, void*, size_t)>("read");
+  const long call = ++reads;
+  if (Asks("read-io", call)) return Fail(EIO);
+  if (Asks("read-intr", call)) return Fail(EINTR);
+  return real(descriptor, bytes, Asks("read-short", call) && size > 1 ? 1 : size);
 }
 
 int fsync(int descriptor) {
