@@ -127,6 +127,8 @@ TEST_F(DamagedFiles, SmallestId) {
        {"compact least.g2o --strategy apal --output new", "solve least.g2o --trajectory out.tum"}) {
     ExpectFailure(command, 1, "pose -9223372036854775808: ids beyond 2^53 do not fit into the stamps");
   }
+  Succeed("solve least.g2o --output solved.g2o");
+  ExpectFailure("convert solved.g2o out.tum", 1, "solved.g2o: pose -9223372036854775808: ids beyond 2^53");
   EXPECT_FALSE(Exists("new/graph.json") || Exists("out.tum"));
 }
 

@@ -4,6 +4,7 @@
 #include <string_view>
 
 #include "commands.h"
+#include "report.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
@@ -31,6 +32,11 @@ template <class Pose>
 Trajectory ValuesOf(const PoseGraph<Pose>& graph, const std::string& path) {
   std::vector<std::pair<PoseId, SE3>> values;
   for (const auto& pose : graph.Poses()) {
+    try {
+      RequireStampId(pose.id);
+    } catch (const std::invalid_argument& error) {
+      throw FileError(path, 0, error.what());
+    }
     if (!pose.T_world_body)
       throw FileError(
           path, 0,
