@@ -127,13 +127,15 @@ std::vector<png_bytep> Rows(cv::Mat& image) {
 // libpng takes memory for what a chunk claims to be long before it finds that the file ends: look first. The signature
 // is there.
 bool ChunksEndInside(const std::string& bytes) {
-  constexpr std::size_t kSignature = 8, kFrame = 12;  // of a chunk: length, name, checksum
-  for (std::size_t at = kSignature; bytes.size() - at >= kFrame;) {
+  constexpr std::size_t kSignature = 8, kHead = 8, kChecksum = 4;  // head of a chunk: length and name
+  std::size_t at = kSignature;
+  while (bytes.size() - at >= kHead) {
     std::size_t length = 0;
     for (std::size_t k = 0; k < 4; ++k) length = length << 8 | static_cast<unsigned char>(bytes[at + k]);
     if (bytes.compare(at + 4, 4, "IEND") == 0) return true;
-    if (length > bytes.size() - at - kFrame) return false;
-    at += kFrame + length;
+    at += kHead;
+    if (length + kChecksum > bytes.size() - at) return false;
+    at += length + kChecksum;
   }
   return true;  // libpng says what is missing
 }

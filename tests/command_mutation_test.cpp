@@ -14,7 +14,7 @@ namespace {
 
 using testing::Outcome;
 
-constexpr int kRounds = kSlowBuild ? 2 : 3;  // of all commands
+constexpr int kRounds = kSlowBuild ? 3 : 5;  // of all commands
 
 class CommandMutation : public testing::CommandTest {
  protected:
@@ -65,7 +65,8 @@ class CommandMutation : public testing::CommandTest {
       }
     }
   }
-  std::mt19937_64 random_{20261122};
+  // --gtest_random_seed=N draws others.
+  std::mt19937_64 random_{20261122 + static_cast<std::uint64_t>(GTEST_FLAG_GET(random_seed))};
 };
 
 TEST_F(CommandMutation, Graphs) {

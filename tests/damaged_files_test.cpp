@@ -46,14 +46,12 @@ std::string Deep() {
 
 TEST_F(DamagedFiles, DeepJson) {
   MakeRun();
-  const std::string list(100000, '['), closed = list + std::string(100000, ']');
-  for (const std::string& deep : {Deep(), list, closed, "{\"format\":" + closed + '}'}) {
-    const std::string cause = ":1: JSON nested deeper than 100 lists and objects, at byte ";
+  const std::string list(100000, '['), cause = ":1: JSON nested deeper than 100 lists and objects, at byte ";
+  for (const std::string& deep : {Deep(), "{\"format\":" + list + std::string(100000, ']') + '}'}) {
     for (const std::string file : {"run/graph.json", "run/stats.json", "run/thresholds.json", "run/decisions.jsonl"}) {
-      for (const std::string command : {"report run --output page.html", "plot run --output picture"}) {
-        ExpectRefused(file, deep, command, file + cause);
-      }
+      ExpectRefused(file, deep, "report run --output page.html", file + cause);
     }
+    ExpectRefused("run/stats.json", deep, "plot run --output picture", "run/stats.json" + cause);
     ExpectRefused("run/graph.json", deep, "compact in.g2o --continue run --output new", "run/graph.json" + cause);
     ExpectRefused("run/thresholds.json", deep, "online --thresholds run/thresholds.json < in.g2o",
                   "run/thresholds.json" + cause);
@@ -129,6 +127,8 @@ TEST_F(DamagedFiles, SmallestId) {
        {"compact least.g2o --strategy apal --output new", "solve least.g2o --trajectory out.tum"}) {
     ExpectFailure(command, 1, "pose -9223372036854775808: ids beyond 2^53 do not fit into the stamps");
   }
+  Succeed("solve least.g2o --output solved.g2o");
+  ExpectFailure("convert solved.g2o out.tum", 1, "solved.g2o: pose -9223372036854775808: ids beyond 2^53");
   EXPECT_FALSE(Exists("new/graph.json") || Exists("out.tum"));
 }
 

@@ -107,7 +107,7 @@ TEST(LimitsTest, EndlessInputsAreRefusedAtTheirStart) {
 TEST(LimitsTest, PipesAreReadToTheirEndOrTheLimit) {
   const TestFile pipe("pipe");
   ASSERT_EQ(mkfifo(pipe.Path().c_str(), 0600), 0);
-  for (const std::size_t size : {0, 10, 300000}) {
+  for (const std::size_t size : {std::size_t{0}, std::size_t{10}, std::size_t{300000}}) {
     std::thread writer([&] { std::ofstream(pipe.Path()) << std::string(size, 'x'); });
     EXPECT_EQ(ReadAll(pipe.Path()).size(), size);
     writer.join();

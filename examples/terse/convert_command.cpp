@@ -5,6 +5,7 @@
 
 #include "commands.h"
 #include "output_paths.h"
+#include "report.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
@@ -32,6 +33,11 @@ template <class Pose>
 Trajectory ValuesOf(const PoseGraph<Pose>& graph, const std::string& path) {
   std::vector<std::pair<PoseId, SE3>> values;
   for (const auto& pose : graph.Poses()) {
+    try {
+      RequireStampId(pose.id);
+    } catch (const std::invalid_argument& error) {
+      throw FileError(path, 0, error.what());
+    }
     if (!pose.T_world_body)
       throw FileError(
           path, 0,

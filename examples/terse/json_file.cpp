@@ -59,7 +59,7 @@ Json ReadJsonObject(const std::string& path, const std::string& what) {
     if (start.find('\0') == std::string_view::npos) return;
     throw FileError(path, 0, "a binary file (it holds a zero byte), expected " + what + " as a JSON object");
   };
-  Json object = ParseJson<Json>(ReadAll(path, {MostFileBytes(kMostJsonBytes, 16), expect_text}), path);
+  Json object = ParseJson<Json>(ReadAll(path, {MostFileBytes(kMostJsonBytes, 32), expect_text}), path);
   if (object.is_object()) return object;
   throw FileError(path, 0, "expected " + what + " as a JSON object, found " + object.type_name());
 }

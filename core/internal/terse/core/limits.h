@@ -11,7 +11,7 @@ namespace terse {
 inline constexpr std::size_t kMostLineBytes = std::size_t{16} << 20;
 // A text file, a saved state or a journal. Less where the machine is small: see MostFileBytes().
 inline constexpr std::uint64_t kMostFileBytes = std::uint64_t{4} << 30;
-// A JSON file, which takes about 25 times its size in memory at worst.
+// A JSON file, which takes about 30 times its size in memory at worst.
 inline constexpr std::uint64_t kMostJsonBytes = std::uint64_t{1} << 30;
 // Lists and objects within each other.
 inline constexpr int kMostJsonDepth = 100;
