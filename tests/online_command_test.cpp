@@ -629,13 +629,14 @@ TEST_F(OnlineCommand, ClosedDescriptorsAreNotTakenForOthers) {
   EXPECT_TRUE(Answers("", kOptions + "--journal journal").at(0)["resumed"].get<bool>());
 }
 
-TEST_F(OnlineCommand, LongLinesAreAnsweredAndNotKept) {
+TEST_F(OnlineCommand, WhatHasNoEndIsNoLine) {
   const std::string edge = " 1 0 0 100 0 0 100 0 100\n";
   const std::string longest = "# " + std::string((16 << 20) - 2, 'x') + '\n';
-  const auto answers = Answers("EDGE_SE2 0 1" + edge + longest + "x" + longest + "EDGE_SE2 1 2" + edge, kOptions);
-  ASSERT_EQ(answers.size(), 4u);
-  EXPECT_EQ(answers[1]["error"], "stdin:3: longer than 16777216 bytes");
-  EXPECT_EQ(answers[3]["pose"], 2);
+  const auto answers = Answers("EDGE_SE2 0 1" + edge + longest + "EDGE_SE2 1 2" + edge, kOptions);
+  EXPECT_EQ(answers.size(), 3u);
+  Write("input", "FLUSH\nx" + longest + "EDGE_SE2 1 2" + edge);
+  ExpectFailure(kOptions + "< input", 1, "stdin:2: longer than 16777216 bytes, expected lines of text");
+  ExpectFailure(kOptions + "< /dev/zero", 1, "stdin:1: longer than 16777216 bytes");
 }
 
 }  // namespace

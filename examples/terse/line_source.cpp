@@ -24,7 +24,7 @@ std::string Trimmed(const std::string& text) {
 
 int LineSource::FindDimension() {
   for (InputLine line; Read(line);) {
-    if (!line.too_long && !line.torn && (line.text.empty() || line.text[0] == '#' || line.text == "FLUSH")) continue;
+    if (!line.torn && (line.text.empty() || line.text[0] == '#' || line.text == "FLUSH")) continue;
     ahead_.push_back(line);
     if (const int dimension = DimensionOfLine(line.text); dimension != 0) return dimension;
     if (ahead_.size() > kMostAhead) {
@@ -44,25 +44,21 @@ bool LineSource::Next(InputLine& line) {
 
 bool LineSource::Read(InputLine& line) {
   std::string text;
-  bool too_long = false;
-  while (true) {
-    if (taken_ == buffer_.size() && !Fill()) {
-      if (text.empty() && !too_long) return false;
-      line = {Trimmed(text), ++number_, true, too_long};
-      return true;
-    }
+  while (taken_ < buffer_.size() || Fill()) {
     const std::size_t end = buffer_.find('\n', taken_), last = std::min(end, buffer_.size());
-    too_long = too_long || text.size() + last - taken_ > kMostLineBytes;
-    if (too_long) {
-      text.clear();
-    } else {
-      text.append(buffer_, taken_, last - taken_);
+    text.append(buffer_, taken_, last - taken_);
+    if (text.size() > kMostLineBytes) {
+      throw FileError(kName, number_ + 1,
+                      "longer than " + std::to_string(kMostLineBytes) + " bytes, expected lines of text");
     }
     taken_ = end == std::string::npos ? last : end + 1;
     if (end == std::string::npos) continue;
-    line = {Trimmed(text), ++number_, false, too_long};
+    line = {Trimmed(text), ++number_, false};
     return true;
   }
+  if (text.empty()) return false;
+  line = {Trimmed(text), ++number_, true};
+  return true;
 }
 
 // False at the end of the input.

@@ -8,13 +8,13 @@
 namespace terse {
 
 struct InputLine {
-  std::string text;       // without blanks at its ends
-  long number = 0;        // from 1
-  bool torn = false;      // the input ends within it: it may hold half of a number
-  bool too_long = false;  // longer than kMostLineBytes: `text` is empty
+  std::string text;   // without blanks at its ends
+  long number = 0;    // from 1
+  bool torn = false;  // the input ends within it: it may hold half of a number
 };
 
-// Lines may be looked at before they are taken. Throws FileError if standard input cannot be read.
+// Lines may be looked at before they are taken. Throws FileError if standard input cannot be read, or brings no line
+// end within kMostLineBytes: what has no end is no lines.
 class LineSource {
  public:
   static constexpr char kName[] = "stdin";

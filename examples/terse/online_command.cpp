@@ -14,7 +14,6 @@
 #include "output_paths.h"
 #include "policy.h"
 #include "report.h"
-#include "terse/core/limits.h"
 #include "terse/core/measurement_line.h"
 #include "thresholds_file.h"
 #include "verbose.h"
@@ -71,9 +70,6 @@ class OnlineRun {
 
   void Take(const InputLine& line) {
     const std::string& text = line.text;
-    if (line.too_long) {
-      return Refuse(FileError(kSource, line.number, "longer than " + std::to_string(kMostLineBytes) + " bytes"));
-    }
     if (line.torn && !text.empty()) {
       return Refuse(FileError(kSource, line.number, "the input ends within this line, expected a line end"));
     }
