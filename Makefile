@@ -20,7 +20,7 @@ test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_p
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
 .PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
-  readme-picture install package asan format format-check deps clean help
+  readme-picture install package asan tsan soak format format-check deps clean help
 .DEFAULT_GOAL := all
 
 # With the Python package where it is switched on, which `make install` and `make package` then take along.
@@ -100,6 +100,14 @@ asan: build-asan/build.ninja ## build and test with the address and undefined-be
 	@cmake --build build-asan -j $(JOBS)
 	@ctest --preset asan-ubsan -j $(JOBS)
 
+tsan: build-tsan/build.ninja ## build what has threads with ThreadSanitizer, and run its tests
+	@cmake --build build-tsan -j $(JOBS) --target tsan_tests
+	@ctest --preset tsan -j $(JOBS)
+
+soak: build/build.ninja ## stream into `terse online` for so many SECONDS (60): memory and descriptors stay flat
+	@cmake --build build -j $(JOBS) --target soak_test
+	@TERSE_SOAK_SECONDS=$(or $(SECONDS),60) build/bin/soak_test
+
 format: ## format all sources
 	@.ci/packages clang-format
 	@clang-format -i $(sources)
@@ -109,7 +117,7 @@ format-check: ## fail if a source is not formatted
 	@printf '%s\n' $(sources) | xargs -n 16 -P $(JOBS) clang-format --dry-run -Werror
 
 clean: ## remove all that was built
-	@rm -rf build build-debug build-asan build-tidy build-bench
+	@rm -rf build build-debug build-asan build-tsan build-tidy build-bench
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{printf "make %-17s %s\n", $$1, $$2}'
@@ -121,6 +129,10 @@ build/build.ninja: CMakePresets.json | deps
 build-asan/build.ninja: CMakePresets.json | deps
 	@.ci/packages $(asan_packages) $(plot_packages)
 	@cmake --preset asan-ubsan >/dev/null && touch $@
+
+build-tsan/build.ninja: CMakePresets.json | deps
+	@.ci/packages $(asan_packages)
+	@cmake --preset tsan >/dev/null && touch $@
 
 build-bench/build.ninja: CMakePresets.json | deps
 	@.ci/packages $(bench_packages)
