@@ -20,7 +20,7 @@ test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_p
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
 .PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
-  readme-picture install package asan fuzz format format-check deps clean help
+  readme-picture install package asan fuzz tsan soak format format-check deps clean help
 .DEFAULT_GOAL := all
 
 # With the Python package where it is switched on, which `make install` and `make package` then take along.
@@ -106,6 +106,14 @@ fuzz: build-asan/build.ninja ## fuzz every reader for SECONDS=60 each; what is f
 	@status=0; for program in build-asan/bin/fuzz_*; do echo "$${program#build-asan/bin/}, $(SECONDS) s"; \
 	  tests/fuzz/run.sh $$program $(SECONDS) build-asan/fuzz || status=1; done; exit $$status
 
+tsan: build-tsan/build.ninja ## build what has threads with ThreadSanitizer, and run its tests
+	@cmake --build build-tsan -j $(JOBS) --target tsan_tests
+	@ctest --preset tsan -j $(JOBS)
+
+soak: build/build.ninja ## stream into `terse online` for so many SECONDS (60): memory and descriptors stay flat
+	@cmake --build build -j $(JOBS) --target soak_test
+	@TERSE_SOAK_SECONDS=$(SECONDS) build/bin/soak_test
+
 format: ## format all sources
 	@.ci/packages clang-format
 	@clang-format -i $(sources)
@@ -115,7 +123,7 @@ format-check: ## fail if a source is not formatted
 	@printf '%s\n' $(sources) | xargs -n 16 -P $(JOBS) clang-format --dry-run -Werror
 
 clean: ## remove all that was built
-	@rm -rf build build-debug build-asan build-tidy build-bench
+	@rm -rf build build-debug build-asan build-tsan build-tidy build-bench
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{printf "make %-17s %s\n", $$1, $$2}'
@@ -127,6 +135,10 @@ build/build.ninja: CMakePresets.json | deps
 build-asan/build.ninja: CMakePresets.json | deps
 	@.ci/packages $(asan_packages) $(plot_packages)
 	@cmake --preset asan-ubsan >/dev/null && touch $@
+
+build-tsan/build.ninja: CMakePresets.json | deps
+	@.ci/packages $(asan_packages)
+	@cmake --preset tsan >/dev/null && touch $@
 
 build-bench/build.ninja: CMakePresets.json | deps
 	@.ci/packages $(bench_packages)

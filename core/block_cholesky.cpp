@@ -38,8 +38,11 @@ void BlockCholesky<B>::SetFactors(const std::vector<LinearFactor<B>>& factors) {
     for (size_t k = begin; k < end; ++k) SetSlot(static_cast<int>(k), factors[k]);
   });
   internal::SpreadChunks(threads_, front_of_.size(), kChunk, [&](size_t begin, size_t end) {
-    for (size_t v = begin; v < end; ++v) RecountDiagonal(static_cast<int>(v));
+    for (size_t v = begin; v < end; ++v) {
+      if (hubs_.count(static_cast<int>(v)) == 0) RecountDiagonal(static_cast<int>(v));
+    }
   });
+  for (const auto& hub : hubs_) RecountDiagonal(hub.first);
 }
 
 template <int B>

@@ -24,8 +24,17 @@ struct BlockCholesky<B>::Undo {
   int variables = 0;
   std::vector<int> added;
   std::vector<std::pair<int, LinearFactor<B>>> replaced, removed;
-  std::vector<std::pair<int, Vector<B>>> diagonals;  // of old variables, as they were before each change
-  std::vector<int> recounted;                        // variables whose diagonal was summed from the start
+  std::vector<std::pair<int, Vector<B>>> diagonals;  // of old variables, before each addition to them
+  std::vector<std::pair<int, int>> recounted;        // (variable, block of slots) of all other changes
+
+  // Many changes of a hub are in the same block.
+  void Recount(int variable, int block) {
+    const std::pair<int, int> entry{variable, block};
+    for (std::size_t k = 1; k <= 2 && k <= recounted.size(); ++k) {
+      if (recounted[recounted.size() - k] == entry) return;
+    }
+    recounted.push_back(entry);
+  }
 
   // Calls visit(variable) for the variables of all these factors, some more than once; the added ones are in `slots`.
   template <class Visit>
@@ -43,9 +52,10 @@ struct BlockCholesky<B>::Undo {
 // The touched part of the tree: what is eliminated again, and what that hangs together by.
 template <int B>
 struct BlockCholesky<B>::Region {
-  std::vector<int> fronts;     // the touched variables' and all their ancestors
-  std::vector<int> variables;  // their pivots and the new variables
-  internal::Cliques cliques;   // in indices of `variables`
+  std::vector<int> fronts;                  // the touched variables' and all their ancestors
+  std::vector<int> variables;               // their pivots and the new variables
+  const std::vector<int>* added = nullptr;  // slots that no front has yet
+  internal::Cliques cliques;                // in indices of `variables`
   // A clique's origin: a factor, or the separator of a subtree that stays; the other is -1.
   std::vector<int> slot, orphan;
   std::vector<char> order_last;

@@ -29,6 +29,35 @@ void BlockCholesky<B>::AffectedFronts(const Undo& undo, std::vector<int>& affect
   });
 }
 
+// Calls visit(slot) for the factors between the region's variables, by first variable and slot. A factor that reaches
+// below belongs to a front that stays, and most factors of a hub may be of that kind; where there are many, those that
+// are wanted come out of the fronts.
+template <int B>
+template <class Visit>
+void BlockCholesky<B>::ForEachSlot(const Region& region, const Visit& visit) const {
+  size_t on_variables = 0, in_fronts = 0;
+  for (const int v : region.variables) on_variables += slots_of_[At(v)].size();
+  for (const int f : region.fronts) in_fronts += fronts_[At(f)].slots.size();
+  if (region.added == nullptr || on_variables <= kHub || on_variables <= 4 * (in_fronts + region.added->size())) {
+    for (const int v : region.variables) {
+      for (const int slot : slots_of_[At(v)]) {
+        const LinearFactor<B>& f = factors_[At(slot)];
+        if (f.first == v && (f.second < 0 || local_[At(f.second)] >= 0)) visit(slot);
+      }
+    }
+    return;
+  }
+  std::vector<std::pair<int, int>> wanted;  // (index of the first variable, slot)
+  const auto want = [&](int slot) {
+    const int first = factors_[At(slot)].first;
+    if (first >= 0) wanted.emplace_back(local_[At(first)], slot);
+  };
+  for (const int f : region.fronts) std::for_each(fronts_[At(f)].slots.begin(), fronts_[At(f)].slots.end(), want);
+  std::for_each(region.added->begin(), region.added->end(), want);
+  std::sort(wanted.begin(), wanted.end());
+  for (const auto& entry : wanted) visit(entry.second);
+}
+
 // Variables, factors and orphaned separators of the affected fronts and the new variables. Fills local_.
 template <int B>
 void BlockCholesky<B>::CollectCliques(int old_variables, Region& region) {
@@ -46,16 +75,12 @@ void BlockCholesky<B>::CollectCliques(int old_variables, Region& region) {
     region.slot.push_back(slot);
     region.orphan.push_back(orphan);
   };
-  for (const int v : region.variables) {
-    for (const int slot : slots_of_[At(v)]) {
-      const LinearFactor<B>& f = factors_[At(slot)];
-      // A factor that reaches below belongs to a front that stays; one between two affected is taken once.
-      if (f.first != v || (f.second >= 0 && local_[At(f.second)] < 0)) continue;
-      region.cliques.members.push_back(local_[At(v)]);
-      if (f.second >= 0) region.cliques.members.push_back(local_[At(f.second)]);
-      close(slot, -1);
-    }
-  }
+  ForEachSlot(region, [&](int slot) {
+    const LinearFactor<B>& f = factors_[At(slot)];
+    region.cliques.members.push_back(local_[At(f.first)]);
+    if (f.second >= 0) region.cliques.members.push_back(local_[At(f.second)]);
+    close(slot, -1);
+  });
   for (const int f : region.fronts) {
     for (const int child : fronts_[At(f)].children) {
       if (is_affected_[At(child)] != 0) continue;
@@ -181,6 +206,7 @@ int BlockCholesky<B>::RefactorRegion(int old_variables, const Undo& undo, Region
   std::vector<Front> pending;
   {
     internal::ScopedTimer timer(report.seconds_order);
+    region.added = &undo.added;
     CollectCliques(old_variables, region);
     region.order_last.assign(region.variables.size(), 0);
     const auto last = [&](int v) {

@@ -67,8 +67,8 @@ template <int B>
 template <class Archive>
 void BlockCholesky<B>::Serialize(Archive& archive) {
   auto& [factors, normals, free_slots, slots_of, fronts, free_fronts, front_of, roots, waiting, log_det, y2, solution,
-         last_solve, method, threads, row_of, thread_row_of, local, is_affected, diagonal, moved, position, stamp_of,
-         last_stamp, drift_looked_at, debt, pool, identity, version, next_version, history] = *this;
+         last_solve, method, threads, row_of, thread_row_of, local, is_affected, diagonal, hubs, moved, position,
+         stamp_of, last_stamp, drift_looked_at, debt, pool, identity, version, next_version, history] = *this;
   archive(factors, free_slots, front_of, free_fronts, roots, waiting, log_det, y2, solution, last_solve.flops,
           last_solve.deferred, method, threads, drift_looked_at, debt);
   if constexpr (Archive::kReads) {
@@ -92,6 +92,7 @@ void BlockCholesky<B>::RebuildDerived() {
   normals_.assign(factors_.size(), Normal());
   slots_of_.assign(n, {});
   diagonal_.assign(n, Vector<B>::Zero());
+  hubs_.clear();
   row_of_.assign(n, -1);
   thread_row_of_.clear();
   local_.clear();

@@ -16,6 +16,31 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // So many changed slots and updates are remembered.
 constexpr size_t kMostRemembered = 256, kMostSteps = 32;
+// From so many on, removed slots leave a variable's list together.
+constexpr size_t kFewDetached = 16;
+
+// Where many of these slots go from a variable's list, they go in one pass: taking all factors of a hub out costs no
+// more than their number.
+template <int B>
+void DetachMany(const std::vector<int>& slots, const std::vector<LinearFactor<B>>& factors,
+                std::vector<std::vector<int>>& slots_of) {
+  std::vector<int> sorted(slots), variables;
+  std::sort(sorted.begin(), sorted.end());
+  for (const int slot : slots) {
+    for (const int v : {factors[At(slot)].first, factors[At(slot)].second}) {
+      if (v >= 0) variables.push_back(v);
+    }
+  }
+  std::sort(variables.begin(), variables.end());
+  for (size_t k = 0; k < variables.size();) {
+    const size_t begin = k;
+    while (k < variables.size() && variables[k] == variables[begin]) ++k;
+    if (k - begin < kFewDetached) continue;
+    std::vector<int>& list = slots_of[At(variables[begin])];
+    const auto is_removed = [&](int slot) { return std::binary_search(sorted.begin(), sorted.end(), slot); };
+    list.erase(std::remove_if(list.begin(), list.end(), is_removed), list.end());
+  }
+}
 
 }  // namespace
 
@@ -60,32 +85,86 @@ void BlockCholesky<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
   n.b_second.noalias() = -(factor.A_second.transpose() * factor.residual);
 }
 
-// From its factors, so that nothing is left of what has gone.
+// What a factor adds to the diagonal of one of its variables.
+template <int B>
+auto BlockCholesky<B>::DiagonalPart(int variable, int slot) const {
+  const Normal& n = normals_[At(slot)];
+  return (factors_[At(slot)].first == variable ? n.H_first : n.H_second).diagonal();
+}
+
+// From its factors in the order of their slots, so that nothing is left of what has gone. Of a hub, block by block.
 template <int B>
 void BlockCholesky<B>::RecountDiagonal(int variable) {
-  if (variable < 0 || variable >= Variables()) return;
+  const auto& slots = slots_of_[At(variable)];
+  const auto hub = hubs_.find(variable);
+  if (hub == hubs_.end() && slots.size() <= kHub) {
+    Vector<B>& sum = diagonal_[At(variable)];
+    sum.setZero();
+    for (const int slot : slots) sum += DiagonalPart(variable, slot);
+    return;
+  }
+  std::map<int, Vector<B>>& blocks = hub == hubs_.end() ? hubs_[variable] : hub->second;
+  for (auto& block : blocks) block.second.setZero();
+  for (const int slot : slots) {
+    const auto it = blocks.try_emplace(slot / kSlotBlock, Vector<B>::Zero()).first;
+    it->second += DiagonalPart(variable, slot);
+  }
+  SumDiagonal(variable);
+}
+
+// A hub's diagonal from its blocks; of what is a hub no more from the slots, as of any other variable.
+template <int B>
+void BlockCholesky<B>::SumDiagonal(int variable) {
+  const auto& slots = slots_of_[At(variable)];
   Vector<B>& sum = diagonal_[At(variable)];
   sum.setZero();
-  for (const int slot : slots_of_[At(variable)]) {
-    const Normal& n = normals_[At(slot)];
-    sum += (factors_[At(slot)].first == variable ? n.H_first : n.H_second).diagonal();
+  if (slots.size() <= kHub) {
+    for (const int slot : slots) sum += DiagonalPart(variable, slot);
+  } else {
+    for (const auto& block : hubs_.at(variable)) sum += block.second;
   }
 }
 
-// Attaches a new factor and adds it to the diagonal. The sums are taken in the order of the slots: one behind all others
-// can be added to what is there, so that a pose costs the same whatever number of factors it has; after any other the
-// variable has to be counted again.
+// Of the variables (the first of a pair) with slots in these blocks that have changed. A variable costs the number of
+// its factors up to kHub, a hub no more than a block and the number of its blocks.
+template <int B>
+void BlockCholesky<B>::RecountDiagonals(std::vector<std::pair<int, int>>& changed) {
+  std::sort(changed.begin(), changed.end());
+  changed.erase(std::unique(changed.begin(), changed.end()), changed.end());
+  for (size_t k = 0; k < changed.size();) {
+    const int v = changed[k].first;
+    const auto hub = hubs_.find(v);
+    if (hub == hubs_.end()) RecountDiagonal(v);
+    for (; k < changed.size() && changed[k].first == v; ++k) {
+      if (hub == hubs_.end()) continue;
+      const int block = changed[k].second;
+      const auto& slots = slots_of_[At(v)];
+      auto it = std::lower_bound(slots.begin(), slots.end(), block * kSlotBlock);
+      Vector<B> sum = Vector<B>::Zero();
+      for (; it != slots.end() && *it / kSlotBlock == block; ++it) sum += DiagonalPart(v, *it);
+      const auto known = hub->second.find(block);
+      if (known != hub->second.end()) {
+        known->second = sum;
+      } else if (!sum.isZero(0)) {
+        hub->second.emplace(block, sum);
+      }
+    }
+    if (hub != hubs_.end()) SumDiagonal(v);
+  }
+}
+
+// Attaches a new factor and adds it to the diagonal. The sum is taken in the order of the slots: one behind all others
+// can be added to what is there; after any other the variable has to be counted again.
 template <int B>
 void BlockCholesky<B>::AttachNew(int slot, Undo& undo) {
   const LinearFactor<B>& f = factors_[At(slot)];
   for (const int v : {f.first, f.second}) {
     if (v < 0) continue;
-    if (v < undo.variables) undo.diagonals.emplace_back(v, diagonal_[At(v)]);
-    if (AttachTo(v, slot)) {
-      const Normal& n = normals_[At(slot)];
-      diagonal_[At(v)] += (f.first == v ? n.H_first : n.H_second).diagonal();
+    if (AttachTo(v, slot) && slots_of_[At(v)].size() <= kHub && hubs_.count(v) == 0) {
+      if (v < undo.variables) undo.diagonals.emplace_back(v, diagonal_[At(v)]);
+      diagonal_[At(v)] += DiagonalPart(v, slot);
     } else {
-      undo.recounted.push_back(v);
+      undo.Recount(v, slot / kSlotBlock);
     }
   }
 }
@@ -97,8 +176,6 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
   undo.added.reserve(changes.added.size());
   undo.replaced.reserve(changes.replaced.size());
   undo.removed.reserve(changes.removed.size());
-  undo.diagonals.reserve(2 * (changes.replaced.size() + changes.removed.size()));
-  undo.recounted.reserve(undo.diagonals.capacity());
   added_slots.reserve(changes.added.size());
   // Neither committing nor taking back allocates.
   internal::ReserveMore(free_slots_, changes.added.size() + changes.removed.size());
@@ -110,13 +187,14 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
   front_of_.resize(total, -1);
   const auto recount = [&](int slot) {
     for (const int v : {factors_[At(slot)].first, factors_[At(slot)].second}) {
-      if (v < 0) continue;
-      undo.diagonals.emplace_back(v, diagonal_[At(v)]);
-      undo.recounted.push_back(v);
+      if (v >= 0) undo.Recount(v, slot / kSlotBlock);
     }
   };
   for (const int slot : changes.removed) {
     recount(slot);
+  }
+  DetachMany<B>(changes.removed, factors_, slots_of_);
+  for (const int slot : changes.removed) {
     undo.removed.emplace_back(slot, factors_[At(slot)]);
     Detach(slot);
     factors_[At(slot)].first = -1;
@@ -140,25 +218,25 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
     added_slots.push_back(slot);
     AttachNew(slot, undo);
   }
-  std::sort(undo.recounted.begin(), undo.recounted.end());
-  undo.recounted.erase(std::unique(undo.recounted.begin(), undo.recounted.end()), undo.recounted.end());
-  for (const int v : undo.recounted) RecountDiagonal(v);
+  RecountDiagonals(undo.recounted);
 }
 
 template <int B>
-void BlockCholesky<B>::RevertFactors(const Undo& undo) {
+void BlockCholesky<B>::RevertFactors(Undo& undo) {
   for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) Detach(*it);
   for (const auto& [slot, factor] : undo.replaced) SetSlot(slot, factor);
   for (const auto& [slot, factor] : undo.removed) {
     SetSlot(slot, factor);
     Attach(slot);  // into lists that had room for it
   }
+  RecountDiagonals(undo.recounted);  // no hub and no block comes up that is not there by now
   for (auto it = undo.diagonals.rbegin(); it != undo.diagonals.rend(); ++it) diagonal_[At(it->first)] = it->second;
   for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) {
     factors_[At(*it)].first = -1;
     free_slots_.push_back(*it);
   }
   const size_t total = At(undo.variables);
+  hubs_.erase(hubs_.lower_bound(undo.variables), hubs_.end());
   front_of_.resize(total);
   slots_of_.resize(total);
   row_of_.resize(total);
@@ -273,9 +351,11 @@ std::optional<std::vector<typename BlockCholesky<B>::SlotChange>> BlockCholesky<
   template void BlockCholesky<B>::CheckChanges(const Changes&) const;                                             \
   template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                                           \
   template void BlockCholesky<B>::RecountDiagonal(int);                                                           \
+  template void BlockCholesky<B>::SumDiagonal(int);                                                               \
+  template void BlockCholesky<B>::RecountDiagonals(std::vector<std::pair<int, int>>&);                            \
   template void BlockCholesky<B>::AttachNew(int, Undo&);                                                          \
   template void BlockCholesky<B>::ApplyFactors(const Changes&, std::vector<int>&, Undo&);                         \
-  template void BlockCholesky<B>::RevertFactors(const Undo&);                                                     \
+  template void BlockCholesky<B>::RevertFactors(Undo&);                                                           \
   template void BlockCholesky<B>::Attach(int);                                                                    \
   template bool BlockCholesky<B>::AttachTo(int, int);                                                             \
   template void BlockCholesky<B>::Detach(int);                                                                    \

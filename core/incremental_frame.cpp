@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include "frame_alignment.h"
 #include "incremental_plan.h"
@@ -55,6 +56,7 @@ typename IncrementalSolver<Pose>::Placed IncrementalSolver<Pose>::AbsoluteAfter(
     place(from, to, f->T_from_to);
     place(to, from, f->T_from_to.Inverse());
   }
+  const std::set<FactorId> removed(update.removed.begin(), update.removed.end());
   Placed out;
   for (int v = 0; v < old; ++v) {
     const auto& node = graph_.Poses()[At(v)];
@@ -63,7 +65,7 @@ typename IncrementalSolver<Pose>::Placed IncrementalSolver<Pose>::AbsoluteAfter(
   for (const auto& node : graph_.Factors()) {
     const FactorPoses ends = PosesOf(node.factor);
     if (ends.count != 1) continue;
-    if (std::find(update.removed.begin(), update.removed.end(), node.id) != update.removed.end()) continue;
+    if (removed.count(node.id) != 0) continue;
     out.emplace_back(node.factor, EstimateAt(graph_.IndexOf(ends.first)));
   }
   for (size_t k = 0; k < update.poses.size(); ++k) {

@@ -13,14 +13,53 @@
 #include <cstddef>
 #include <vector>
 
+#if defined(__SANITIZE_THREAD__)
+#define TERSE_THREAD_SANITIZER
+#elif defined(__has_feature)
+#if __has_feature(thread_sanitizer)
+#define TERSE_THREAD_SANITIZER
+#endif
+#endif
+#ifdef TERSE_THREAD_SANITIZER
+extern "C" void __tsan_acquire(void* address);
+extern "C" void __tsan_release(void* address);
+#endif
+
 namespace terse::internal {
+
+// What ThreadSanitizer cannot see, as it does not look into oneTBB: all that comes before a parallel region happens
+// before its bodies, and these before what follows it; nothing else. Between two bodies it finds races as ever.
+class ForkJoin {
+ public:
+#ifdef TERSE_THREAD_SANITIZER
+  void Fork() { __tsan_release(&fork_); }
+  void Begin() { __tsan_acquire(&fork_); }
+  void End() { __tsan_release(&join_); }
+  void Join() { __tsan_acquire(&join_); }
+
+ private:
+  char fork_ = 0, join_ = 0;
+#else
+  void Fork() {}
+  void Begin() {}
+  void End() {}
+  void Join() {}
+#endif
+};
 
 // Runs body() with room for so many threads; ForEachChunk and ForEachBottomUp inside it share them. No more than the
 // process may have, by default one per processor: oneTBB would complain on standard error.
 template <class Body>
 void WithThreads(int threads, const Body& body) {
   const auto allowed = tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism);
-  tbb::task_arena(static_cast<int>(std::min(static_cast<std::size_t>(threads), allowed))).execute(body);
+  ForkJoin order;
+  order.Fork();
+  tbb::task_arena(static_cast<int>(std::min(static_cast<std::size_t>(threads), allowed))).execute([&] {
+    order.Begin();
+    body();
+    order.End();
+  });
+  order.Join();
 }
 
 // Inside WithThreads: the calling thread's number, below that of the threads.
@@ -36,14 +75,19 @@ void ForEachChunk(bool parallel, std::size_t n, std::size_t size, const Body& bo
     for (std::size_t k = 0; k < chunks; ++k) chunk(k);
     return;
   }
+  ForkJoin order;
+  order.Fork();
   tbb::this_task_arena::isolate([&] {
     tbb::parallel_for(
         tbb::blocked_range<std::size_t>(0, chunks, 1),
         [&](const tbb::blocked_range<std::size_t>& range) {
+          order.Begin();
           for (std::size_t k = range.begin(); k < range.end(); ++k) chunk(k);
+          order.End();
         },
         tbb::simple_partitioner());
   });
+  order.Join();
 }
 
 // The same with threads of its own.
@@ -65,18 +109,23 @@ void ForEachBottomUp(const std::vector<int>& parents, const Body& body) {
   for (std::size_t k = 0; k < parents.size(); ++k) {
     if (missing[k].load(std::memory_order_relaxed) == 0) leaves.push_back(static_cast<int>(k));
   }
+  ForkJoin order;
+  order.Fork();
   tbb::task_group group;
   for (const int leaf : leaves) {
     group.run([&, leaf] {
+      order.Begin();
       // The last child takes its parent on.
       for (int k = leaf; k >= 0;) {
         body(k);
         k = parents[static_cast<std::size_t>(k)];
         if (k >= 0 && missing[static_cast<std::size_t>(k)].fetch_sub(1, std::memory_order_acq_rel) > 1) break;
       }
+      order.End();
     });
   }
   group.wait();
+  order.Join();
 }
 
 }  // namespace terse::internal

@@ -12,6 +12,8 @@
 namespace terse {
 namespace {
 
+namespace fs = std::filesystem;
+
 using nlohmann::json;
 using testing::CsvRows;
 using testing::Outcome;

@@ -48,7 +48,8 @@ bool RunRsvgConvert(std::FILE* svg, std::FILE* png, int width, const std::string
   posix_spawn_file_actions_adddup2(&actions, fileno(svg), STDIN_FILENO);
   posix_spawn_file_actions_adddup2(&actions, fileno(png), STDOUT_FILENO);
   pid_t child = 0;
-  const int failed = posix_spawnp(&child, arguments[0], &actions, nullptr, const_cast<char* const*>(arguments), environ);
+  const int failed =
+      posix_spawnp(&child, arguments[0], &actions, nullptr, const_cast<char* const*>(arguments), environ);
   posix_spawn_file_actions_destroy(&actions);
   if (failed != 0) return false;
   int status = 0;
@@ -104,8 +105,9 @@ void Plot(const PlotOptions& options) {
   for (const std::string& what : options.what) {
     const std::string stem = folder + (runs.size() > 1 ? "/comparison_" : "/") + what, svg = stem + ".svg";
     const bool keep = options.format != PictureFormat::kPng;
-    const std::string drawn =
-        what == "trajectory" ? DrawMaps(runs) : what == "gains" ? DrawGains(runs) : DrawTimings(runs);
+    const std::string drawn = what == "trajectory" ? DrawMaps(runs)
+                              : what == "gains"    ? DrawGains(runs)
+                                                   : DrawTimings(runs);
     if (keep) WriteText(drawn, svg);
     if (options.format != PictureFormat::kSvg) WritePng(drawn, stem + ".png", options.width);
     if (options.quiet) continue;

@@ -40,7 +40,7 @@ void AddReferenceOptions(CLI::App& app) {
     app.add_flag_callback(name,
                           [&app, write] {
                             std::cout << write(app);  // main flushes it
-                            throw CLI::Success();  // before a subcommand is asked for
+                            throw CLI::Success();     // before a subcommand is asked for
                           })
         ->group("");
   };

@@ -18,6 +18,7 @@
 #include <chrono>
 #include <cstdint>
 #include <deque>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -191,15 +192,20 @@ class BlockCholesky {
   void CheckChanges(const Changes& changes) const;
   void SetSlot(int slot, const LinearFactor<B>& factor);
   void ApplyFactors(const Changes& changes, std::vector<int>& added_slots, Undo& undo);
-  void RevertFactors(const Undo& undo);
+  void RevertFactors(Undo& undo);
   void Attach(int slot);
   bool AttachTo(int variable, int slot);
   void AttachNew(int slot, Undo& undo);
   void Detach(int slot);
   void Remember(const Undo& undo) noexcept;
+  auto DiagonalPart(int variable, int slot) const;
   void RecountDiagonal(int variable);
+  void SumDiagonal(int variable);
+  void RecountDiagonals(std::vector<std::pair<int, int>>& changed);
   // block_cholesky_region.cpp: the touched part of the tree and its new elimination.
   void AffectedFronts(const Undo& undo, std::vector<int>& affected);
+  template <class Visit>
+  void ForEachSlot(const Region& region, const Visit& visit) const;
   void CollectCliques(int old_variables, Region& region);
   bool HasDrifted(int old_variables, Region& all);
   void AllFronts(std::vector<int>& fronts);
@@ -259,9 +265,14 @@ class BlockCholesky {
   std::vector<int> local_;                       // by variable: index in the region at hand, else -1
   std::vector<char> is_affected_;                // by front
   std::vector<Vector<B>> diagonal_;              // of H, by variable
-  std::vector<double> moved_;                    // by variable: what its change in the Solve at hand is worth
-  std::vector<int> position_;                    // by front: in the path at hand
-  std::vector<std::uint64_t> stamp_of_;          // by variable: the last front that it was seen in
+  // A variable that has had more factors than kHub: its diagonal by blocks of kSlotBlock slots, so that no change has
+  // to look at all of them.
+  static constexpr std::size_t kHub = 1024;
+  static constexpr int kSlotBlock = 1024;
+  std::map<int, std::map<int, Vector<B>>> hubs_;
+  std::vector<double> moved_;            // by variable: what its change in the Solve at hand is worth
+  std::vector<int> position_;            // by front: in the path at hand
+  std::vector<std::uint64_t> stamp_of_;  // by variable: the last front that it was seen in
   std::uint64_t stamp_ = 0;
   int drift_looked_at_ = 0;  // at so many variables
   double debt_ = 0;          // flops that rank-k updates took more since the last ordering because nothing was ordered
