@@ -1,5 +1,7 @@
 // What of a compact run is stored: all but what the next step works out again to the same bits.
 
+#include <algorithm>
+
 #include "compact_pose_slam_parts.h"
 #include "terse/core/log_message.h"
 #include "terse/core/state_members.h"
@@ -57,13 +59,21 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
   });
   if constexpr (Archive::kReads) {
     index.clear();
+    std::vector<int> successors_of(history.size(), 0);
     for (const Seen& seen : history) {
       const int at = static_cast<int>(index.size());
       const bool is_known = solver->Graph().HasPose(seen.base) && seen.kept == (seen.id == seen.base) &&
                             (!seen.next_kept || solver->Graph().HasPose(*seen.next_kept));
       if (!is_known || seen.previous >= at || (seen.previous < 0) != (at == 0))
         archive.Fail("a pose without its chain");
+      // A dropped pose hangs where the one before it does; so chains end at a kept pose.
+      const auto before = static_cast<std::size_t>(std::max(seen.previous, 0));
+      if (!seen.kept && (at == 0 || history[before].base != seen.base)) archive.Fail("a pose without its chain");
+      if (at > 0) ++successors_of[before];
       if (!index.emplace(seen.id.value, at).second) archive.Fail("a pose comes twice");
+    }
+    for (std::size_t k = 0; k < history.size(); ++k) {
+      if (history[k].successors != successors_of[k]) archive.Fail("a pose with another number of successors");
     }
     for (const Refused& link : refused) {
       if (!solver->Graph().HasPose(link.candidate) || !HasSeen(link.seen)) archive.Fail("a link of unknown poses");

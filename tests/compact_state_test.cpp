@@ -420,5 +420,35 @@ TEST(CompactStateErrorTest, NonsenseWithTheRightChecksum) {
   EXPECT_GT(taken, 300);
 }
 
+// The first pose as a dropped one, which has no chain; and one with more successors than there are.
+TEST(CompactStateErrorTest, ChainsEndAtAKeptPose) {
+  const auto run = SmallRun();
+  const std::string whole = SavedBytes(run);
+  const std::int64_t first = run.Solver().Graph().Poses().front().id.value;
+  const std::string pose = testing::Bytes(static_cast<std::uint64_t>(run.PosesSeen())) + testing::Bytes(first) +
+                           testing::Bytes(first) + std::string(12 * sizeof(double), '\0');
+  ASSERT_NE(whole.find(pose), std::string::npos);
+  const std::size_t base = whole.find(pose) + sizeof(std::uint64_t) + sizeof(first);
+  const std::size_t successors = base + sizeof(first) + 15 * sizeof(double) + sizeof(int),
+                    kept = successors + sizeof(int);
+  ASSERT_EQ(whole[kept], 1);
+  const auto refused = [&](const std::string& bytes) {
+    const TestFile file("chain.state", testing::WithChecksum(bytes));
+    return testing::LoadError<CompactPoseSlam<SE2>>(file.Path());
+  };
+  std::string other;
+  for (const auto& [id, T_world_body, fixed] : run.Solver().Graph().Poses()) {
+    if (id.value != first) other = testing::Bytes(id.value);
+  }
+  ASSERT_FALSE(other.empty());
+  std::string changed = whole;
+  changed.replace(base, other.size(), other);
+  changed[kept] = 0;
+  EXPECT_NE(refused(changed).find("a pose without its chain"), std::string::npos);
+  changed = whole;
+  changed.replace(successors, sizeof(int), testing::Bytes(0x7fffffff));
+  EXPECT_NE(refused(changed).find("another number of successors"), std::string::npos);
+}
+
 }  // namespace
 }  // namespace terse

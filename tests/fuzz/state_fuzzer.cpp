@@ -68,6 +68,28 @@ void Use(const CompactPoseSlam<Pose>& slam) {
   Use(slam.Solver());
 }
 
+constexpr std::int64_t kNext = 1000;  // the id of a pose that no state has
+
+template <class Pose>
+void GoOn(IncrementalSolver<Pose>& solver) {
+  if (solver.Graph().Poses().empty()) return;
+  const std::int64_t last = solver.Graph().Poses().back().id.value;
+  RelativePoseFactor<Pose> edge = Edge<Pose>(0, 1);
+  edge.from = {last};
+  edge.to = {kNext};
+  solver.Update({{{{kNext}}}, {edge}, {}});
+  solver.Finish();
+}
+template <class Pose>
+void GoOn(CompactPoseSlam<Pose>& slam) {
+  CompactInput<Pose> input;
+  input.id = {kNext};
+  input.odometry = Edge<Pose>(7, 8);
+  input.odometry->to = {kNext};
+  slam.AddPose(input);
+  slam.Finish();
+}
+
 struct Kind {
   std::string name;
   std::vector<std::string> members;  // of states that were saved
@@ -77,9 +99,10 @@ struct Kind {
 template <class Object>
 void Load(const std::string& path, const std::string& again) {
   Done([&] {
-    const Object loaded = Object::Load(path);
+    Object loaded = Object::Load(path);
     Use(loaded);
     loaded.Save(again);
+    GoOn(loaded);
   });
 }
 
