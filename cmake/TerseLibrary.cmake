@@ -7,7 +7,7 @@ file(RELATIVE_PATH terse_libdir_from_bindir ${CMAKE_INSTALL_FULL_BINDIR} ${CMAKE
 #
 # A missing arrow between folders is a link error (--no-undefined). Each library binds its own copies of the
 # inline Eigen functions (-Bsymbolic), so that a program compiled with other -march flags cannot replace them.
-# Sanitizers need neither: their runtime is in the program, and it takes a second copy of a variable for an error.
+# Sanitizers and fuzzers need neither: their runtime is in the program, and it takes a second copy of a variable for an error.
 function(terse_library name)
   cmake_parse_arguments(ARG "" "EXPORT" "SOURCES;LINKS;PRIVATE_LINKS" ${ARGN})
   if(NOT ARG_EXPORT)
@@ -25,7 +25,7 @@ function(terse_library name)
                              $<BUILD_INTERFACE:${CMAKE_CURRENT_SOURCE_DIR}/internal>
                              $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
   target_link_libraries(${name} PUBLIC ${ARG_LINKS} PRIVATE ${ARG_PRIVATE_LINKS})
-  if(NOT CMAKE_CXX_FLAGS MATCHES "-fsanitize")
+  if(NOT CMAKE_CXX_FLAGS MATCHES "-fsanitize" AND NOT TERSE_BUILD_FUZZERS)
     target_link_options(${name} PRIVATE -Wl,-Bsymbolic -Wl,--no-undefined)
   endif()
   terse_warnings(${name})

@@ -14,7 +14,7 @@ namespace {
 
 using testing::Outcome;
 
-constexpr int kRounds = kSlowBuild ? 3 : 5;  // of all commands
+constexpr int kRounds = kSlowBuild ? 2 : 4;  // of all commands
 
 class CommandMutation : public testing::CommandTest {
  protected:

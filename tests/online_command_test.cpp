@@ -293,6 +293,8 @@ TEST_F(OnlineCommand, ReadsThresholds) {
   refuse("link_covariance", {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}}, "key \"link_covariance\"");
   Write("wrong.json", "[1, 2");
   ExpectFailure("online --thresholds wrong.json < input", 1, "wrong.json:1: the JSON ends too early");
+  Write("wrong.json", "[1, 2]");
+  ExpectFailure("online --thresholds wrong.json < input", 1, "wrong.json: expected thresholds");
   ExpectFailure("online --thresholds none.json < input", 1, "none.json: the file does not exist");
   ExpectFailure("online --thresholds good.json --dimension 3 < input", 1, "good.json: thresholds for 2D");
 }

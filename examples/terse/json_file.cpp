@@ -46,8 +46,7 @@ Json ParseJson(std::string_view text, const std::string& path, long line) {
     return Json::parse(text);
   } catch (const typename Json::parse_error& error) {
     const bool is_cut = error.byte > text.size();
-    throw FileError(path, LineAt(text, error.byte, line),
-                    is_cut ? "the JSON ends too early" : "not valid JSON");
+    throw FileError(path, LineAt(text, error.byte, line), is_cut ? "the JSON ends too early" : "not valid JSON");
   } catch (const typename Json::exception&) {  // a number beyond the range of double
     throw FileError(path, line > 1 ? line : 0, "holds a number that is too large");
   }
