@@ -2,6 +2,7 @@
 #include <stdexcept>
 
 #include "terse/core/atomic_file.h"
+#include "terse/core/error.h"
 #include "terse/core/graph_file.h"
 
 namespace terse {
@@ -14,6 +15,7 @@ class Line {
  public:
   explicit Line(const char* tag) : text_(tag) {}
   Line& Add(double value) {
+    is_finite_ = is_finite_ && std::isfinite(value);
     text_ += ' ';
     text_ += Shortest(value);
     return *this;
@@ -35,13 +37,16 @@ class Line {
     }
     return *this;
   }
+  // A number that is finite in radians may not be in the format's unit.
   void WriteTo(std::ostream& out) {
+    if (!is_finite_) throw NumericalError("a number beyond the range of a double would be in the line " + text_);
     text_ += '\n';
     out.write(text_.data(), static_cast<std::streamsize>(text_.size()));
   }
 
  private:
   std::string text_;
+  bool is_finite_ = true;
 };
 
 Line& AddPose(Line& line, const SE2& T) { return line.AddVector<2>(T.Translation()).Add(T.Theta()); }

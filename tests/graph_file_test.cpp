@@ -7,6 +7,7 @@
 #include <clocale>
 #include <cmath>
 #include <cstring>
+#include <fstream>
 #include <locale>
 #include <random>
 
@@ -486,6 +487,23 @@ TEST(GraphFileTest, ToroRefusesWhatItCannotHold) {
   EXPECT_THROW(WriteToro(graph, file.Path()), FileError);
   EXPECT_EQ(file.Content(), "") << "nothing is written";
   EXPECT_THROW(WriteG2o(graph, file.Path() + ".missing/x.g2o"), FileError);
+}
+
+// Information of 1e308 per square radian is four times as much in g2o's unit.
+TEST(GraphFileTest, NothingIsWrittenThatCannotBeReadAgain) {
+  PoseGraph<SE3> graph;
+  graph.AddPose({0});
+  graph.AddPose({1});
+  graph.AddFactor(RelativePoseFactor<SE3>{{0}, {1}, SE3(), 1e308 * Matrix<6, 6>::Identity()});
+  const TestFile file("large.g2o", "as it was");
+  EXPECT_THROW(WriteG2o(graph, file.Path()), NumericalError);
+  std::string line;
+  std::getline(std::ifstream(file.Path()), line);
+  EXPECT_EQ(line, "as it was");
+  ReadOptions radians;
+  radians.rotation_information = RotationInformation::kRadians;
+  WriteG2o(graph, file.Path(), RotationInformation::kRadians);
+  EXPECT_EQ(ReadPoseGraph<SE3>(file.Path(), radians).Factors().size(), 1u);
 }
 
 TEST(GraphFileTest, PublicGraphsHaveTheirKnownSizes) {

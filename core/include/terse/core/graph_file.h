@@ -61,7 +61,8 @@ PoseGraph<Pose> ReadPoseGraph(const std::string& path, const ReadOptions& option
 
 // Written to a temporary file in the same folder, then renamed. Throws FileError. `comment`, if any, stands at the top
 // as a line that begins with '#', which g2o skips as we do (not every reader does). Throws std::invalid_argument if it
-// is more than one line.
+// is more than one line, NumericalError if a number of the graph is none in the file: information on rotations may
+// overflow in g2o's unit.
 template <class Pose>
 void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path,
               RotationInformation rotation_information = RotationInformation::kQuaternion,
