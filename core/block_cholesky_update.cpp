@@ -87,7 +87,7 @@ void BlockCholesky<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
 
 // What a factor adds to the diagonal of one of its variables.
 template <int B>
-auto BlockCholesky<B>::DiagonalPart(int variable, int slot) const {
+Vector<B> BlockCholesky<B>::DiagonalPart(int variable, int slot) const {
   const Normal& n = normals_[At(slot)];
   return (factors_[At(slot)].first == variable ? n.H_first : n.H_second).diagonal();
 }
@@ -350,6 +350,7 @@ std::optional<std::vector<typename BlockCholesky<B>::SlotChange>> BlockCholesky<
 #define TERSE_INSTANTIATE(B)                                                                                      \
   template void BlockCholesky<B>::CheckChanges(const Changes&) const;                                             \
   template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                                           \
+  template Vector<B> BlockCholesky<B>::DiagonalPart(int, int) const;                                              \
   template void BlockCholesky<B>::RecountDiagonal(int);                                                           \
   template void BlockCholesky<B>::SumDiagonal(int);                                                               \
   template void BlockCholesky<B>::RecountDiagonals(std::vector<std::pair<int, int>>&);                            \

@@ -198,7 +198,7 @@ class BlockCholesky {
   void AttachNew(int slot, Undo& undo);
   void Detach(int slot);
   void Remember(const Undo& undo) noexcept;
-  auto DiagonalPart(int variable, int slot) const;
+  Vector<B> DiagonalPart(int variable, int slot) const;
   void RecountDiagonal(int variable);
   void SumDiagonal(int variable);
   void RecountDiagonals(std::vector<std::pair<int, int>>& changed);
