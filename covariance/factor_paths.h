@@ -6,8 +6,8 @@
 #include <limits>
 #include <vector>
 
-#include "dense_kernels.h"
 #include "terse/core/block_cholesky.h"
+#include "terse/core/dense_kernels.h"
 
 namespace terse::internal {
 

@@ -3,8 +3,8 @@
 #include <cmath>
 #include <optional>
 
-#include "core/text_lines.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/text_lines.h"
 
 namespace terse {
 namespace {

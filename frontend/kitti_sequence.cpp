@@ -10,8 +10,8 @@
 #include <numeric>
 #include <thread>
 
-#include "core/text_lines.h"
 #include "frontend/png_file.h"
+#include "terse/core/text_lines.h"
 
 namespace terse {
 namespace {

@@ -1,6 +1,6 @@
 // Every instruction set that this processor runs, against Eigen's dense Cholesky, at sizes around all tile edges.
 
-#include "core/dense_kernels.h"
+#include "terse/core/dense_kernels.h"
 
 #include <gtest/gtest.h>
 

@@ -4,7 +4,7 @@
 
 #include <gtest/gtest.h>
 
-#include "core/frame_alignment.h"
+#include "core/graph/frame_alignment.h"
 #include "terse/core/batch_solver.h"
 #include "testing.h"
 

@@ -4,7 +4,7 @@
 
 #include <numeric>
 
-#include "core/paper_flops.h"
+#include "core/experiments/paper_flops.h"
 #include "terse/core/incremental_solver.h"
 #include "testing_incremental.h"
 

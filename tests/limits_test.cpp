@@ -7,11 +7,11 @@
 #include <string>
 #include <thread>
 
-#include "core/text_lines.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/measurement_line.h"
 #include "terse/core/read_file.h"
 #include "terse/core/state_file.h"
+#include "terse/core/text_lines.h"
 #include "terse/core/trajectory.h"
 #include "testing_files.h"
 

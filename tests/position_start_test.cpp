@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include "core/position_start.h"
+#include "core/batch/position_start.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/initial_values.h"
 #include "testing.h"

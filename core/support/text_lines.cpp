@@ -1,0 +1,137 @@
+#include "terse/core/text_lines.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <stdexcept>
+#include <system_error>
+
+namespace terse {
+namespace {
+
+bool IsBlank(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f'; }
+
+// from_chars takes no leading +.
+std::string_view WithoutPlus(std::string_view text) {
+  if (text.size() > 1 && text[0] == '+' && text[1] != '-') text.remove_prefix(1);
+  return text;
+}
+
+template <class Value>
+std::errc Parse(std::string_view text, Value* value) {
+  text = WithoutPlus(text);
+  const std::from_chars_result result = std::from_chars(text.data(), text.data() + text.size(), *value);
+  if (result.ec == std::errc() && result.ptr != text.data() + text.size()) return std::errc::invalid_argument;
+  return result.ec;
+}
+
+}  // namespace
+
+TextFile::TextFile(const std::string& path, const ReadLimits& limits) : path_(path) {
+  const auto expect_text = [&](std::string_view text) {
+    const std::size_t nul = text.find('\0');
+    if (nul == std::string_view::npos) return;
+    const auto line = 1 + std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(nul), '\n');
+    throw FileError(path, static_cast<long>(line), "a binary file (it holds a zero byte), expected text");
+  };
+  content_ = ReadAll(path, {limits.most_bytes, expect_text});
+  expect_text(content_);
+  if (content_.empty()) throw FileError(path, 0, "the file is empty, expected lines of text");
+}
+
+std::vector<TextLine> TextFile::Lines() const {
+  std::vector<TextLine> lines;
+  std::string_view rest = content_;
+  if (rest.substr(0, 3) == "\xEF\xBB\xBF") rest.remove_prefix(3);  // an editor's byte order mark
+  for (long number = 1; !rest.empty(); ++number) {
+    const std::size_t end = rest.find('\n');
+    std::string_view text = rest.substr(0, end);
+    rest.remove_prefix(end == std::string_view::npos ? rest.size() : end + 1);
+    if (text.size() > kMostLineBytes) {
+      throw FileError(
+          path_, number,
+          "the line has " + std::to_string(text.size()) + " bytes, expected at most " + std::to_string(kMostLineBytes));
+    }
+    while (!text.empty() && IsBlank(text.front())) text.remove_prefix(1);
+    while (!text.empty() && IsBlank(text.back())) text.remove_suffix(1);
+    if (text.empty() || text[0] == '#' || text.substr(0, 2) == "//") continue;
+    lines.push_back({number, text});
+  }
+  return lines;
+}
+
+std::string_view FirstField(std::string_view text) {
+  std::size_t end = 0;
+  while (end < text.size() && !IsBlank(text[end])) ++end;
+  return text.substr(0, end);
+}
+
+bool IsNumber(std::string_view text) {
+  double value = 0;
+  return Parse(text, &value) != std::errc::invalid_argument;
+}
+
+void Fields::Split(const TextLine& line) {
+  line_ = line.number;
+  count_ = 0;
+  more_texts_.clear();
+  std::string_view rest = line.text;
+  while (true) {
+    while (!rest.empty() && IsBlank(rest.front())) rest.remove_prefix(1);
+    if (rest.empty()) return;
+    const std::string_view field = FirstField(rest);
+    if (const auto i = static_cast<std::size_t>(count_); i < kStored) {
+      texts_[i] = field;
+    } else {
+      more_texts_.push_back(field);
+    }
+    ++count_;
+    rest.remove_prefix(field.size());
+  }
+}
+
+std::string_view Fields::Text(int i) const {
+  if (i < 0 || i >= count_)
+    throw std::out_of_range("a line of " + std::to_string(count_) + " fields has no such field");
+  const auto at = static_cast<std::size_t>(i);
+  return at < kStored ? texts_[at] : more_texts_[at - kStored];
+}
+
+FileError Fields::FieldError(int i, const char* name, const std::string& cause) const {
+  return Error("field " + std::to_string(i + 1) + " (" + name + ") reads " + Quoted(Text(i)) + ": " + cause);
+}
+
+double Fields::Number(int i, const char* name) const {
+  double value = 0;
+  const std::errc error = Parse(Text(i), &value);
+  if (error == std::errc::invalid_argument) throw FieldError(i, name, "not a number, expected a decimal one");
+  if (error == std::errc::result_out_of_range)
+    throw FieldError(i, name, "beyond the range of a double, expected less than 1.8e308");
+  if (!std::isfinite(value)) throw FieldError(i, name, "not finite, expected a finite number");
+  return value;
+}
+
+std::int64_t Fields::Integer(int i, const char* name) const {
+  std::int64_t value = 0;
+  const std::errc error = Parse(Text(i), &value);
+  if (error == std::errc::invalid_argument) throw FieldError(i, name, "not an integer, expected a whole number");
+  if (error == std::errc::result_out_of_range) throw FieldError(i, name, "beyond a signed 64-bit integer");
+  return value;
+}
+
+std::string Rounded(double value) {
+  char text[32];
+  const std::to_chars_result end = std::to_chars(text, text + sizeof(text), value, std::chars_format::general, 6);
+  return std::string(text, end.ptr);
+}
+
+std::string Quoted(std::string_view text) {
+  constexpr std::size_t kLongest = 60;
+  std::string out(text.substr(0, kLongest));
+  for (char& c : out) {
+    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) c = '?';
+  }
+  return '"' + out + (text.size() > kLongest ? "..." : "") + '"';
+}
+
+}  // namespace terse
