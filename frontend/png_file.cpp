@@ -23,6 +23,7 @@ namespace {
 constexpr char kCutOff[] = "the PNG image is cut off, expected more bytes";
 // For a comment, a colour profile and the like, which take what they claim to be long.
 constexpr png_alloc_size_t kMostChunkBytes = 8000000;
+constexpr png_uint_32 kMostNotes = 8;  // texts and other chunks beside the pixels
 // Deflate makes no more of a byte; a file of n bytes that promises more pixels than this allows cannot hold them.
 constexpr std::uint64_t kMostInflation = 1032;
 
@@ -81,10 +82,13 @@ bool ReadHeader(png_structp png, png_infop info, Transfer& transfer) {
   if (setjmp(png_jmpbuf(png)) != 0) return false;
   png_set_read_fn(png, &transfer, TakeBytes);
   png_set_chunk_malloc_max(png, kMostChunkBytes);
+  png_set_chunk_cache_max(png, kMostNotes);
   png_read_info(png, info);
   const std::uint64_t width = png_get_image_width(png, info), height = png_get_image_height(png, info);
+  const std::uint64_t decoded = height * png_get_rowbytes(png, info);
   if (width * height > kMostImagePixels) png_error(png, "it is too large, expected at most 2^26 pixels");
-  if (height * png_get_rowbytes(png, info) > kMostInflation * transfer.size) {
+  if (decoded > kMostDecodedBytes) png_error(png, "it is too large, expected at most 2^27 bytes of pixels");
+  if (decoded > kMostInflation * transfer.size) {
     png_error(png, "it promises more pixels than the file can hold");
   }
   png_set_strip_16(png);

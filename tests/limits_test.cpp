@@ -99,6 +99,7 @@ TEST(LimitsTest, EndlessInputsAreRefusedAtTheirStart) {
     ExpectRefused([&] { StateReader(path, "any"); }, path, 0, "not a saved state");
   }
   ExpectRefused([] { ReadGraph("/dev/zero"); }, "/dev/zero", 1, "a binary file (it holds a zero byte)");
+  ExpectRefused([] { ReadText("/dev/zero"); }, "/dev/zero", 1, "a binary file (it holds a zero byte)");
   ReadLimits limits;
   limits.most_bytes = 1 << 20;
   ExpectRefused([&] { ReadAll("/dev/zero", limits); }, "/dev/zero", 0, "expected at most 1 MiB");

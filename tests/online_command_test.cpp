@@ -508,8 +508,11 @@ TEST_F(OnlineCommand, RefusesOtherFilesAndOptions) {
   refuse("my notes\n", "a file of another kind");
   refuse("t", "a file of another kind");
   refuse("terse online journal 1\n", "a journal of another version of the format, this program reads version 2");
-  Write("journal", "");  // holds nothing to lose
-  Succeed(use);
+  for (const std::string begun : {"", "terse ", "terse online journal 2"}) {  // hold nothing to lose
+    Write("journal", begun);
+    Succeed(use);
+    EXPECT_EQ(Read("journal").rfind("terse online journal 2\n", 0), 0u) << begun;
+  }
   const std::string whole = Read("journal");
   for (const std::size_t at : {whole.size() / 2, whole.size() / 3}) {
     std::string damaged = whole;
@@ -639,6 +642,24 @@ TEST_F(OnlineCommand, WhatHasNoEndIsNoLine) {
   Write("input", "FLUSH\nx" + longest + "EDGE_SE2 1 2" + edge);
   ExpectFailure(kOptions + "< input", 1, "stdin:2: longer than 16777216 bytes, expected lines of text");
   ExpectFailure(kOptions + "< /dev/zero", 1, "stdin:1: longer than 16777216 bytes");
+  // Nor are lines without a measurement kept without end.
+  const std::string half = std::string(9 << 20, 'x') + '\n';
+  Write("input", half + half + "EDGE_SE2 1 2" + edge);
+  ExpectFailure("online --strategy apal < input", 1, "stdin:2: no measurement among 2 lines; expected one");
+}
+
+// What a trajectory cannot hold is told when it comes, not at the end of a long run.
+TEST_F(OnlineCommand, StampsThatATrajectoryCannotHoldAreRefused) {
+  const std::string edge = " 1 0 0 100 0 0 100 0 100\n", far = "9007199254740993";
+  Write("input",
+        "EDGE_SE2 0 1" + edge + "EDGE_SE2 1 " + far + edge + "VERTEX_SE2 " + far + " 0 0 0\nFIX " + far + "\n");
+  const auto answers = ParseLines(Succeed(kOptions + "--output out < input").out);
+  ASSERT_EQ(answers.size(), 5u);
+  for (const std::size_t k : {1u, 2u, 3u}) {
+    EXPECT_NE(answers[k].value("error", "").find("ids beyond 2^53 do not fit"), std::string::npos) << answers[k];
+  }
+  EXPECT_EQ(Read("out/trajectory.tum").substr(0, 2), "0 ");
+  for (const auto& answer : ParseLines(Succeed(kOptions + "< input").out)) EXPECT_EQ(answer.count("error"), 0u);
 }
 
 }  // namespace

@@ -69,6 +69,20 @@ TEST_F(OutputPaths, OutputsHaveAPlaceEach) {
   EXPECT_EQ(Read("old"), "from before");
 }
 
+// Decisions between the records of a journal would damage it.
+TEST_F(OutputPaths, WhatIsPrintedGoesIntoNoOutput) {
+  Write("journal", "");
+  for (const char* stream : {">> journal", "> /dev/null 2>> journal"}) {
+    const std::string line = std::string("cd '") + Path("") +
+                             "' && '" TERSE_COMMAND "' online --strategy apal --journal journal < g.g2o " + stream;
+    const int status = std::system(line.c_str());
+    ASSERT_TRUE(WIFEXITED(status));
+    EXPECT_EQ(WEXITSTATUS(status), 2) << stream;
+  }
+  EXPECT_NE(Read("journal").find("--journal: journal is the same file as its messages (standard error)"),
+            std::string::npos);
+}
+
 TEST_F(OutputPaths, WhatIsNoFileMayBeNamedTwice) {
   Succeed("solve g.g2o --output /dev/null --stats /dev/null --quiet");
   Succeed("solve g.g2o --output /dev/stdout --stats /dev/stdout --quiet");
@@ -101,7 +115,9 @@ TEST_F(OutputPaths, HelpIntoAFullDiskFails) {
     const int status = std::system(line.c_str());
     ASSERT_TRUE(WIFEXITED(status));
     EXPECT_EQ(WEXITSTATUS(status), 1) << arguments;
-    EXPECT_NE(Read("error").find("terse: error: (standard output): cannot write"), std::string::npos) << Read("error");
+    EXPECT_NE(Read("error").find("terse: error: (standard output): cannot write: No space left on device"),
+              std::string::npos)
+        << Read("error");
     Succeed(arguments);
   }
 }

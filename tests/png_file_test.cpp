@@ -5,9 +5,11 @@
 
 #include <gtest/gtest.h>
 #include <png.h>
+#include <sys/resource.h>
 #include <zlib.h>
 
 #include <filesystem>
+#include <fstream>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -126,6 +128,40 @@ TEST(PngFile, WhatCannotBeWrittenIsNamed) {
   EXPECT_THROW(WriteGreyPng(path, RandomImage(CV_8U)), FileError);
   EXPECT_THROW(WriteGreyPng(path, RandomImage(CV_8UC3)), std::invalid_argument);
   EXPECT_THROW(WriteGreyPng(path, cv::Mat()), std::invalid_argument);
+}
+
+long PeakMegabytes() {
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return usage.ru_maxrss / 1024;
+}
+
+// 100 compressed texts of 7.9 MB each, which libpng would keep.
+TEST(PngFile, TextsBesideThePixelsTakeNoMemory) {
+  std::vector<Bytef> packed(compressBound(7900000));
+  uLongf size = packed.size();
+  const std::vector<Bytef> text(7900000, 'x');
+  ASSERT_EQ(compress(packed.data(), &size, text.data(), text.size()), Z_OK);
+  std::string chunk = "zTXtnote" + std::string(2, '\0');
+  chunk.append(reinterpret_cast<const char*>(packed.data()), size);
+  const auto number = [](uLong value) {
+    std::string out;
+    for (int k = 24; k >= 0; k -= 8) out += static_cast<char>(value >> k);
+    return out;
+  };
+  const uLong crc = crc32(0, reinterpret_cast<const Bytef*>(chunk.data()), static_cast<uInt>(chunk.size()));
+  const std::string whole = number(chunk.size() - 4) + chunk + number(crc);
+  const TestFile file("texts.png");
+  const cv::Mat image = RandomImage(CV_8U, {64, 64});
+  WriteGreyPng(file.Path(), image);
+  std::string bytes = file.Content(), texts;
+  for (int k = 0; k < 100; ++k) texts += whole;
+  bytes.insert(33, texts);  // behind the header
+  ASSERT_LT(bytes.size(), 1000000u);
+  std::ofstream(file.Path(), std::ios::binary) << bytes;
+  const long before = PeakMegabytes();
+  EXPECT_EQ(cv::norm(ReadGreyPng(file.Path()), image, cv::NORM_INF), 0);
+  EXPECT_LT(PeakMegabytes() - before, 250);  // 790 if they were kept
 }
 
 // An image of 100 million grey pixels, and one of 16 million, in files that cannot hold them.

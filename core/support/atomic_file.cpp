@@ -211,7 +211,10 @@ void AtomicFile::Commit() {
     Discard();
     throw CannotWrite(path_, error);
   }
-  if (!temporary_path_.empty()) Unregister(slot_);
+  if (!temporary_path_.empty()) {
+    Unregister(slot_);
+    SyncFolderOf(target_path_);
+  }
   temporary_path_.clear();
   Close();
 }

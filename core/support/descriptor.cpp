@@ -1,8 +1,10 @@
 #include "terse/core/descriptor.h"
 
+#include <fcntl.h>
 #include <unistd.h>
 
 #include <cerrno>
+#include <filesystem>
 #include <system_error>
 
 namespace terse {
@@ -32,6 +34,14 @@ int SyncData(int descriptor) {
     return errno == EINVAL || errno == ENOTSUP ? 0 : errno;  // some file systems have none
   }
   return 0;
+}
+
+void SyncFolderOf(const std::string& path) {
+  const std::filesystem::path folder = std::filesystem::path(path).parent_path();
+  const int descriptor = ::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (descriptor < 0) return;
+  ::fsync(descriptor);
+  ::close(descriptor);
 }
 
 std::string SystemReason(int error) { return std::system_category().message(error); }

@@ -62,6 +62,13 @@ std::uint64_t FindUsableMemory() {
   return least;
 }
 
+void ExpectText(const std::string& path, std::string_view content) {
+  const std::size_t nul = content.find('\0');
+  if (nul == std::string_view::npos) return;
+  const auto line = 1 + std::count(content.begin(), content.begin() + static_cast<std::ptrdiff_t>(nul), '\n');
+  throw FileError(path, static_cast<long>(line), "a binary file (it holds a zero byte), expected text");
+}
+
 }  // namespace
 
 std::uint64_t UsableMemory() {
@@ -100,6 +107,12 @@ std::string ReadAll(const std::string& path, const ReadLimits& limits) {
     if (!is_checked && content.size() >= chunk.size()) check();
   }
   if (!is_checked) check();
+  return content;
+}
+
+std::string ReadText(const std::string& path, std::uint64_t most_bytes) {
+  std::string content = ReadAll(path, {most_bytes, [&](std::string_view start) { ExpectText(path, start); }});
+  ExpectText(path, content);
   return content;
 }
 

@@ -25,17 +25,27 @@ std::errc Parse(std::string_view text, Value* value) {
   return result.ec;
 }
 
+// Bytes of the character in UTF-8 that the text begins with; 0 if it begins with none.
+std::size_t CharacterLength(std::string_view text) {
+  const auto byte = [&](std::size_t i) { return i < text.size() ? static_cast<unsigned char>(text[i]) : 0u; };
+  const unsigned first = byte(0);
+  if (first < 0x80) return 1;
+  const std::size_t length = first >= 0xf0 ? 4 : first >= 0xe0 ? 3 : 2;
+  if (first < 0xc2 || first > 0xf4) return 0;
+  for (std::size_t i = 1; i < length; ++i) {
+    if ((byte(i) & 0xc0) != 0x80) return 0;
+  }
+  // Longer than needed, halves of a pair, or beyond the last character.
+  const unsigned second = byte(1);
+  const bool is_none = (first == 0xe0 && second < 0xa0) || (first == 0xed && second >= 0xa0) ||
+                       (first == 0xf0 && second < 0x90) || (first == 0xf4 && second >= 0x90);
+  return is_none ? 0 : length;
+}
+
 }  // namespace
 
 TextFile::TextFile(const std::string& path, const ReadLimits& limits) : path_(path) {
-  const auto expect_text = [&](std::string_view text) {
-    const std::size_t nul = text.find('\0');
-    if (nul == std::string_view::npos) return;
-    const auto line = 1 + std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(nul), '\n');
-    throw FileError(path, static_cast<long>(line), "a binary file (it holds a zero byte), expected text");
-  };
-  content_ = ReadAll(path, {limits.most_bytes, expect_text});
-  expect_text(content_);
+  content_ = ReadText(path, limits.most_bytes);
   if (content_.empty()) throw FileError(path, 0, "the file is empty, expected lines of text");
 }
 
@@ -127,11 +137,16 @@ std::string Rounded(double value) {
 
 std::string Quoted(std::string_view text) {
   constexpr std::size_t kLongest = 60;
-  std::string out(text.substr(0, kLongest));
-  for (char& c : out) {
-    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) c = '?';
+  std::string out;
+  std::size_t i = 0;
+  while (i < text.size() && out.size() < kLongest) {
+    const std::size_t length = CharacterLength(text.substr(i));
+    const auto c = static_cast<unsigned char>(text[i]);
+    const bool is_shown = length > 0 && c >= 0x20 && c != 0x7f;
+    out += is_shown ? text.substr(i, length) : "?";
+    i += std::max(length, std::size_t{1});
   }
-  return '"' + out + (text.size() > kLongest ? "..." : "") + '"';
+  return '"' + out + (i < text.size() ? "..." : "") + '"';
 }
 
 }  // namespace terse

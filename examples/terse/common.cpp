@@ -149,7 +149,7 @@ void AddPathToErrors(const std::string& path, const std::function<void()>& work)
 }
 
 void FlushOutput() {
-  errno = 0;
+  if (std::cout) errno = 0;  // else it tells why an earlier write failed
   if (std::cout.flush()) return;
   throw FileError("(standard output)", 0, "cannot write" + (errno != 0 ? ": " + SystemReason(errno) : ""));
 }

@@ -22,6 +22,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::string_view kFormat = "terse online journal 2\n", kAnyFormat = "terse online journal ";
+// What a file that ends within the format begins with at least; less may be anybody's.
+constexpr std::size_t kLeastStart = 6;
 constexpr std::size_t kLongestHead = 64;  // two numbers and a sum
 constexpr std::size_t kChunk = 1 << 16;
 
@@ -60,15 +62,6 @@ bool IsTornHead(std::string_view rest, long number) {
   return IsPrefix(rest.substr(end + 1), Sum(rest.substr(0, end)) + ' ');
 }
 
-// So that the new name lasts too. Some file systems cannot: the journal lasts all the same unless the power fails.
-void SyncFolderOf(const std::string& path) {
-  const fs::path folder = fs::path(path).parent_path();
-  const int descriptor = ::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (descriptor < 0) return;
-  ::fsync(descriptor);
-  ::close(descriptor);
-}
-
 }  // namespace
 
 Journal::Journal(const std::string& path) : path_(path) {
@@ -79,7 +72,7 @@ Journal::Journal(const std::string& path) : path_(path) {
   try {
     const bool is_whole = FillTo(kFormat.size());
     const std::string_view start = std::string_view(ahead_).substr(0, kFormat.size());
-    if (!IsPrefix(start, kFormat) || (!start.empty() && start.size() < kAnyFormat.size())) {
+    if (!IsPrefix(start, kFormat) || (!start.empty() && start.size() < kLeastStart)) {
       const bool is_journal = IsPrefix(kAnyFormat, start);
       throw FileError(
           path_, 0,

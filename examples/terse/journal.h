@@ -23,7 +23,8 @@ namespace terse {
 class Journal {
  public:
   // Opens the file, made empty if there is none, locks it (one run at a time, from here on) and reads the header. A
-  // file that ends within the header is one of a run killed before its first line: it counts as new. Throws FileError.
+  // file that ends within the header is one of a run killed before its first line: it counts as new (of fewer than 6
+  // bytes nobody can tell: it is refused). Throws FileError.
   explicit Journal(const std::string& path);
   // Removes a file that is still empty.
   ~Journal();

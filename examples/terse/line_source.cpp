@@ -23,13 +23,15 @@ std::string Trimmed(const std::string& text) {
 }
 
 int LineSource::FindDimension() {
+  std::size_t bytes = 0;
   for (InputLine line; Read(line);) {
     if (!line.torn && (line.text.empty() || line.text[0] == '#' || line.text == "FLUSH")) continue;
     ahead_.push_back(line);
     if (const int dimension = DimensionOfLine(line.text); dimension != 0) return dimension;
-    if (ahead_.size() > kMostAhead) {
+    bytes += line.text.size();
+    if (ahead_.size() > kMostAhead || bytes > kMostLineBytes) {
       throw FileError(kName, line.number,
-                      "no measurement among " + std::to_string(kMostAhead) + " lines; expected one, or --dimension");
+                      "no measurement among " + std::to_string(ahead_.size()) + " lines; expected one, or --dimension");
     }
   }
   return 0;

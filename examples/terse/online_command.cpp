@@ -139,10 +139,24 @@ class OnlineRun {
       return {};
     }
     const MeasurementLine<Pose> line = reader_.Read(text, number);
+    if (!options_.directory.empty()) RequireStamps(line);  // not at the end of a long run
     if (const auto* factor = std::get_if<Factor<Pose>>(&line)) return stream_.Add(*factor);
     if (const auto* vertex = std::get_if<VertexLine<Pose>>(&line)) stream_.SetValue(vertex->id, vertex->T_world_body);
     if (const auto* fix = std::get_if<FixLine>(&line)) stream_.Fix(fix->poses);
     return {};
+  }
+
+  // Of what trajectory.tum is to hold.
+  static void RequireStamps(const MeasurementLine<Pose>& line) {
+    if (const auto* vertex = std::get_if<VertexLine<Pose>>(&line)) RequireStampId(vertex->id);
+    if (const auto* fix = std::get_if<FixLine>(&line)) {
+      for (const PoseId id : fix->poses) RequireStampId(id);
+    }
+    if (const auto* factor = std::get_if<Factor<Pose>>(&line)) {
+      const FactorPoses ends = PosesOf(*factor);
+      RequireStampId(ends.first);
+      RequireStampId(ends.second);
+    }
   }
 
   void RemoveLink(const std::string& text, long number) {

@@ -1,6 +1,7 @@
 #include "output_paths.h"
 
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include <CLI/Error.hpp>
 #include <filesystem>
@@ -12,6 +13,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
+std::string IdentityOf(const struct stat& status) {
+  return std::to_string(status.st_dev) + ':' + std::to_string(status.st_ino);
+}
+
 bool NamesDescriptor(const std::string& path) {
   return path == "-" || path == "/dev/stdout" || path == "/dev/stderr" || path.rfind("/dev/fd/", 0) == 0;
 }
@@ -22,7 +27,7 @@ std::optional<std::string> IdentityOf(const std::string& path) {
   struct stat status;
   if (::stat(path.c_str(), &status) == 0) {
     if (!S_ISREG(status.st_mode)) return std::nullopt;
-    return std::to_string(status.st_dev) + ':' + std::to_string(status.st_ino);
+    return IdentityOf(status);
   }
   std::error_code error;
   const fs::path place = fs::weakly_canonical(fs::absolute(path, error), error);
@@ -35,6 +40,13 @@ void CheckOutputPaths(const std::vector<NamedPath>& outputs, const std::vector<N
   std::map<std::string, const NamedPath*> read, written;
   for (const NamedPath& input : inputs) {
     if (const auto identity = IdentityOf(input.path)) read.emplace(*identity, &input);
+  }
+  // What the command prints, if it goes to a file.
+  const NamedPath streams[] = {{"standard output", "what the command prints"}, {"standard error", "its messages"}};
+  for (const int descriptor : {STDERR_FILENO, STDOUT_FILENO}) {
+    struct stat status;
+    if (::fstat(descriptor, &status) != 0 || !S_ISREG(status.st_mode)) continue;
+    written[IdentityOf(status)] = &streams[descriptor - STDOUT_FILENO];
   }
   for (const NamedPath& output : outputs) {
     const auto identity = IdentityOf(output.path);

@@ -25,8 +25,6 @@ std::string Present(const std::string& path) {
   throw FileError(path, 0, "cannot read; expected a folder written by terse compact, kitti or table compact");
 }
 
-std::string ReadText(const std::string& path) { return ReadAll(Present(path)); }
-
 // What nlohmann finds wrong while `work` takes an object apart.
 template <class Work>
 void WithJsonErrors(const std::string& path, long line, const Work& work) {
@@ -112,7 +110,7 @@ class Reader {
   }
 
   void ReadDecisions(const std::string& path) {
-    std::istringstream lines(ReadText(path));
+    std::istringstream lines(ReadText(Present(path)));
     long number = 0;
     run_.decisions = nlohmann::json::array();
     for (std::string line; std::getline(lines, line);) {
@@ -225,7 +223,7 @@ class Reader {
   }
 
   static std::pair<std::vector<std::string>, std::vector<std::vector<double>>> ReadCsv(const std::string& path) {
-    std::istringstream lines(ReadText(path));
+    std::istringstream lines(ReadText(Present(path)));
     std::vector<std::string> names;
     std::vector<std::vector<double>> rows;
     std::string line, cell;

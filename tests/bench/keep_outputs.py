@@ -25,11 +25,14 @@ POLICIES = ["gn1", "gni", "gni-lcg", "gni-igg", "gni-spo", "gni-spo-lcg", "gni-s
 KERNELS = ["huber", "cauchy", "tukey", "dcs", "gnc"]
 
 
-def scrub(path):
-    """Blanks the times in a file that a command wrote."""
+def scrub(path, folder):
+    """Blanks the times in a file that a command wrote, and where it was."""
     if path.suffix in (".npz", ".png", ".journal"):
         return
-    text = path.read_text()
+    if path.name == "stdout" and path.parent.name.startswith("sweep"):  # its table has times; it is in sweep.csv too
+        path.unlink()
+        return
+    text = path.read_text().replace(str(folder), "FOLDER")
     if path.suffix == ".csv" and "seconds" in text.split("\n", 1)[0]:
         rows = list(csv.reader(text.splitlines()))
         keep = [i for i, name in enumerate(rows[0]) if "seconds" not in name]
@@ -103,7 +106,7 @@ def run(binary, folder, name, arguments, source):
     with open(source or "/dev/null") as stdin:
         done = subprocess.run([binary, *arguments], cwd=place, stdin=stdin, capture_output=True, text=True)
     (place / "stdout").write_text(done.stdout)
-    (place / "stderr").write_text(done.stderr.replace(str(folder), "FOLDER"))
+    (place / "stderr").write_text(done.stderr)
     (place / "code").write_text(f"{done.returncode}\n")
 
 
@@ -155,7 +158,7 @@ def main():
             job.result()
     for place in folder.iterdir():
         for path in place.iterdir():
-            scrub(path)
+            scrub(path, folder)
     codes = [int((place / "code").read_text()) for place in sorted(folder.iterdir()) if (place / "code").exists()]
     print(f"{len(codes)} runs, {sum(code != 0 for code in codes)} of them with an error, are kept in {folder}")
 

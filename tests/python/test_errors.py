@@ -30,6 +30,17 @@ def test_missing_files_and_folders(tmp_path):
         assert caught.value.path.startswith(str(missing)) and caught.value.line == 0
 
 
+def test_messages_hold_bytes_that_are_no_text(tmp_path):
+    path = tmp_path / "bytes.txt"
+    for field in (b"\xe01", b"\xff" * 100, "\u00e9".encode() * 40, b"\xf0\x9f\x98", b"\xed\xa0\x80", b"\xc0\x80x"):
+        path.write_bytes(b"0 1 2 3 0 0 0 " + field + b"\n")
+        with pytest.raises(terse.FileError):
+            terse.read_trajectory(str(path))
+        path.write_bytes(b"EDGE_SE2 0 1 " + field + b" 0 0 1 0 0 1 0 1\n" + field + b" 1\n")
+        with pytest.raises(terse.FileError):
+            terse.read_graph(str(path))
+
+
 def test_misuse_is_a_value_error():
     for fails in (
         lambda: terse.solve(terse.PoseGraph(2)),

@@ -18,6 +18,9 @@ long ReadSome(int descriptor, char* bytes, std::size_t size);
 // Brings what was written to the disk, where the file system can: 0 or an errno.
 int SyncData(int descriptor);
 
+// Brings the name of a new file to the disk. Some file systems cannot: it lasts all the same unless the power fails.
+void SyncFolderOf(const std::string& path);
+
 // What is wrong, in the system's words.
 std::string SystemReason(int error);
 

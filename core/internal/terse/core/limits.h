@@ -18,6 +18,8 @@ inline constexpr int kMostJsonDepth = 100;
 // A compressed image, and its pixels: more than any camera has, and no gigabyte of memory.
 inline constexpr std::uint64_t kMostImageBytes = std::uint64_t{256} << 20;
 inline constexpr std::uint64_t kMostImagePixels = std::uint64_t{1} << 26;
+// Of its pixels as they are stored before compression: 2^26 of 16 bits, or 2^25 in colour with transparency.
+inline constexpr std::uint64_t kMostDecodedBytes = std::uint64_t{1} << 27;
 
 // What a process may use: the machine's memory, or less by the limits of its control group and RLIMIT_AS. Bytes.
 std::uint64_t UsableMemory();

@@ -21,4 +21,8 @@ struct ReadLimits {
 // missing, a folder, unreadable or larger than the limit.
 std::string ReadAll(const std::string& path, const ReadLimits& limits = {});
 
+// The content of a file of text. Throws FileError as ReadAll does, and for a binary one (it holds NUL bytes) soon, even
+// if it has no end.
+std::string ReadText(const std::string& path, std::uint64_t most_bytes = ReadLimits().most_bytes);
+
 }  // namespace terse
