@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "factor_paths.h"
-#include "generate_scene.h"
 #include "terse/core/linear_factor.h"
+#include "terse/core/random.h"
 
 namespace terse::internal {
 namespace {

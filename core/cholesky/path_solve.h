@@ -4,6 +4,7 @@
 #include <Eigen/Dense>
 #include <cstddef>
 #include <map>
+#include <unordered_set>
 #include <vector>
 
 #include "terse/core/block_cholesky.h"
@@ -33,6 +34,47 @@ std::vector<int> PathsOf(const BlockCholesky<B>& factor, int first, int second) 
   a.insert(a.end(), b.begin(), b.end());
   a.insert(a.end(), common.rbegin(), common.rend());
   return a;
+}
+
+// The fronts that hold the variables, and all their ancestors; parents first.
+template <int B>
+std::vector<int> AncestorClosure(const BlockCholesky<B>& factor, const std::vector<int>& variables) {
+  std::vector<int> order, path;
+  std::unordered_set<int> seen;
+  for (const int v : variables) {
+    for (int f = factor.FrontOf(v); f >= 0 && seen.insert(f).second; f = factor.FrontAt(f).parent) path.push_back(f);
+    order.insert(order.end(), path.rbegin(), path.rend());
+    path.clear();
+  }
+  return order;
+}
+
+// Back-substitution on these fronts: their share of the full Gauss-Newton step (Arablouei 2026, Eq. 15, which holds for
+// sets that are closed under ancestors). Returns the variables.
+template <int B>
+std::vector<int> SolveOn(BlockCholesky<B>& factor, const std::vector<int>& fronts) {
+  std::vector<int> variables;
+  Eigen::VectorXd x;
+  for (const int f : fronts) {
+    const auto& front = factor.FrontAt(f);
+    const int rows = front.Rows(), p = front.Columns();
+    const Eigen::Map<const Eigen::MatrixXd> L(front.panel.data(), rows, p);
+    x = L.row(rows - 1).transpose();
+    int row = p;
+    for (const int v : front.separators) {
+      const Eigen::Map<const Vector<B>> xs(factor.Solution().data() + static_cast<std::size_t>(v) * B);
+      x.noalias() -= L.template middleRows<B>(row).transpose() * xs;
+      row += B;
+    }
+    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(x);
+    row = 0;
+    for (const int v : front.pivots) {
+      factor.SetSolution(v, x.segment<B>(row));
+      variables.push_back(v);
+      row += B;
+    }
+  }
+  return variables;
 }
 
 template <int B>

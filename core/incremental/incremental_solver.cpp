@@ -5,19 +5,21 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "incremental/incremental_plan.h"
+#include "incremental/gate.h"
+#include "incremental/loop_judge.h"
+#include "incremental/minimum_watch.h"
+#include "incremental/steps.h"
 #include "support/stopwatch.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
-#include "terse/core/residual.h"
+#include "terse/core/observability.h"
+#include "terse/core/state_members.h"
 
 namespace terse {
 namespace {
 
 using internal::Log;
 using internal::ScopedTimer;
-using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 const char* NameForLog(FactorPath path) {
   switch (path) {
@@ -29,114 +31,156 @@ const char* NameForLog(FactorPath path) {
   return "unknown";
 }
 
+bool MayRestart(const IncrementalOptions& options) {
+  return options.restart && options.carry == Carry::kOffset && options.robust.kernel == RobustKernel::kNone;
+}
+
 }  // namespace
 
 template <class Pose>
-IncrementalSolver<Pose>::IncrementalSolver(const IncrementalOptions& options) : options_(options) {
+struct IncrementalSolver<Pose>::Parts {
+  using Step = internal::StepContext<Pose>;
+  internal::LinearizedGraph<Pose> map;
+  internal::Relinearization<Pose> relinearization;
+  internal::UpdateGate<Pose> gate;
+  internal::LoopJudge<Pose> judge;
+  internal::MinimumWatch<Pose> watch;
+  bool is_deferred = false;  // work is left from earlier steps
+
+  void Add(const GraphUpdate<Pose>& update, const internal::UpdatePlan<Pose>& plan, const IncrementalOptions& options,
+           StepReport& report);
+  [[noreturn]] void ThrowSingularUpdate(const GraphUpdate<Pose>& update, const internal::UpdatePlan<Pose>& plan,
+                                        int failed_variable) const;
+  void LogFrame(const internal::MapFrame<Pose>& before, bool has_moved, const IncrementalOptions& options) const;
+  void LogStep(const GraphUpdate<Pose>& update, const StepReport& report, bool was_deferred,
+               const IncrementalOptions& options) const;
+  double TimedChi2(StepReport& report) const;
+  bool MoveTo(const std::vector<Pose>& T_world_body, const IncrementalOptions& options);
+  void RestartIfLower(Step& step);
+};
+
+template <class Pose>
+IncrementalSolver<Pose>::IncrementalSolver(const IncrementalOptions& options)
+    : options_(options), parts_(std::make_unique<Parts>()) {
   const std::string defect = FindDefect(options);
   if (!defect.empty()) throw std::invalid_argument("incremental options: " + defect);
-  factor_.SetThreads(options.threads);
-  if (IsRobust()) width_ = WidthOf(options.robust, B);
+  parts_->map.SetThreads(options.threads);
+  parts_->judge = internal::LoopJudge<Pose>(options.robust);
+  if (options.robust.kernel != RobustKernel::kNone) parts_->map.WatchPoses();
 }
 
 template <class Pose>
-StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
-  const auto start = Clock::now();
-  const bool was_deferred = deferred_;
-  StepReport report;
-  Validate(update);
-  Plan plan;
-  {
-    ScopedTimer timer(seconds_.linearise);
-    PlanNewPoses(update, plan);
-    PlanFrame(update, plan);
-    PlanFactors(update, plan);
-    PlanAnchor(update, plan);
+IncrementalSolver<Pose>::IncrementalSolver(const IncrementalSolver& other)
+    : options_(other.options_), parts_(std::make_unique<Parts>(*other.parts_)) {}
+template <class Pose>
+IncrementalSolver<Pose>::IncrementalSolver(IncrementalSolver&&) noexcept = default;
+template <class Pose>
+IncrementalSolver<Pose>& IncrementalSolver<Pose>::operator=(IncrementalSolver other) noexcept {
+  options_ = std::move(other.options_);
+  if (parts_ == nullptr || other.parts_ == nullptr) {
+    parts_ = std::move(other.parts_);
+  } else {
+    *parts_ = std::move(*other.parts_);  // covariances refer to the Cholesky factor where it is
   }
-  const GateValues before = ValuesForGate();
-  const double minimum_before = LinearMinimum();
-  AddToFactor(update, plan, report);
-  if (IsRobust()) AdmitNewLoops(plan, report);
-  const double minimum_after = LinearMinimum();
-  DecideGate(update, plan, before, report);
+  return *this;
+}
+template <class Pose>
+IncrementalSolver<Pose>::~IncrementalSolver() = default;
+
+template <class Pose>
+StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
+  StepReport report;
+  auto& [map, relinearization, gate, judge, watch, is_deferred] = *parts_;
+  typename Parts::Step step{options_, map, relinearization, report};
+  const bool was_deferred = is_deferred;
+  internal::UpdatePlan<Pose> plan;
+  {
+    ScopedTimer timer(map.Seconds().linearise);
+    plan = internal::PlanUpdate(update, map, options_);
+  }
+  const auto before = internal::UpdateGate<Pose>::Look(map);
+  const double minimum_before = map.MinimumCost();
+  parts_->Add(update, plan, options_, report);
+  judge.Admit(plan, step);
+  const double minimum_after = map.MinimumCost();
+  gate.Decide(update, plan, before, is_deferred, relinearization.IsDue(map, options_), map, options_, report);
   const bool report_cost = options_.report_cost && options_.carry == Carry::kOffset;
-  if (report_cost) report.actual_decrease = TimedChi2(report);
+  if (report_cost) report.actual_decrease = parts_->TimedChi2(report);
   const int new_poses = static_cast<int>(update.poses.size());
   if (options_.carry == Carry::kPoint) {
-    MovePoints(new_poses, start, report);
+    is_deferred = internal::OptimizePoints(new_poses, step);
   } else if (!report.gate_open) {
-    ScopedTimer timer(seconds_.solve);
-    PlaceNewPoses(new_poses, report);
+    ScopedTimer timer(map.Seconds().solve);
+    map.PlaceNewPoses(new_poses, report);
   } else {
-    OptimizeOffsets(start, report);
+    is_deferred = internal::OptimizeOffsets(is_deferred, step);
   }
-  if (IsRobust()) ReviewLoops(start, report);
-  if (MayRestart()) WatchStep(minimum_before, minimum_after, report);
-  if (report_cost) report.actual_decrease -= TimedChi2(report);
-  report.seconds += std::chrono::duration<double>(Clock::now() - start).count();
-  LogStep(update, report, was_deferred);
+  judge.Review(step);
+  if (MayRestart(options_)) {
+    watch.NoteStep(minimum_before, minimum_after, map, options_);
+    const bool may_take_long = report.gate_open && options_.budget_seconds == 0;
+    if (may_take_long && watch.SeemsTrapped(map)) parts_->RestartIfLower(step);
+  }
+  if (report_cost) report.actual_decrease -= parts_->TimedChi2(report);
+  report.seconds += step.Seconds();
+  parts_->LogStep(update, report, was_deferred, options_);
   return report;
 }
 
 template <class Pose>
-void IncrementalSolver<Pose>::LogStep(const GraphUpdate<Pose>& update, const StepReport& report,
-                                      bool was_deferred) const {
-  if (!options_.log) return;
-  Log(options_.log, LogLevel::kDebug, "step ", updates_, ": ", update.poses.size(), " poses, ", update.factors.size(),
-      " factors, ", update.removed.size(), " removed; factor ", NameForLog(report.path), " (",
-      report.variables_refactored, " of ", factor_.Variables(), " poses refactored), gain ", report.gain_nats,
-      " nats; gate ", report.gate_open ? "open" : "closed", " at ", report.gate_value, " (threshold ",
-      options_.gate_threshold, "); ", report.iterations, " iterations, ", report.variables_relinearised,
-      " relinearised, ", report.variables_moved, " moved");
-  if (deferred_ && !was_deferred) {
-    Log(options_.log, LogLevel::kInfo, "step ", updates_, ": over its budget, ", report.deferred_relinearisations,
-        " relinearisations and ", report.deferred_fronts, " subtrees are left to later steps");
+void IncrementalSolver<Pose>::Parts::Add(const GraphUpdate<Pose>& update, const internal::UpdatePlan<Pose>& plan,
+                                         const IncrementalOptions& options, StepReport& report) {
+  const internal::MapFrame<Pose> frame = map.Frame();
+  const auto done = map.Add(update, plan, report);
+  if (!done.ok) ThrowSingularUpdate(update, plan, done.failed_variable);
+  for (const int slot : plan.changes.removed) {
+    relinearization.Release(slot);
+    judge.Release(slot);
   }
-  if (!deferred_ && was_deferred) {
-    Log(options_.log, LogLevel::kInfo, "step ", updates_, ": the work left by earlier steps is done");
+  for (const FactorId id : update.removed) judge.Unpark(id);
+  relinearization.Resize(map);
+  judge.Resize(map);
+  const bool has_moved = !plan.moved_points.empty();
+  if (has_moved) {
+    relinearization.ForgetErrors();
+    is_deferred = false;
   }
-}
-
-// Chi2, its time taken off the step's.
-template <class Pose>
-double IncrementalSolver<Pose>::TimedChi2(StepReport& report) const {
-  const auto start = Clock::now();
-  const double chi2 = Chi2();
-  report.seconds -= std::chrono::duration<double>(Clock::now() - start).count();
-  return chi2;
+  LogFrame(frame, has_moved, options);
 }
 
 template <class Pose>
-void IncrementalSolver<Pose>::AddToFactor(const GraphUpdate<Pose>& update, Plan& plan, StepReport& report) {
-  std::vector<LinearFactor<B>> gone;
-  for (const int slot : plan.changes.removed) gone.push_back(factor_.FactorAt(slot));
-  for (const auto& change : plan.changes.replaced) gone.push_back(factor_.FactorAt(change.first));
-  const auto factored = UpdateFactor(plan.changes, report);
-  if (!factored.ok) ThrowSingularUpdate(update, plan, factored.failed_variable);
-  report.path = factored.path;
-  for (const auto& factor : gone) ChangeCosts(factor, -1);
-  for (const auto& change : plan.changes.replaced) ChangeCosts(change.second, 1);
-  for (const auto& factor : plan.changes.added) ChangeCosts(factor, 1);
-  Commit(update, plan, report, factored.added_slots);
-  if (!plan.moved_points.empty()) RecountCosts();  // the offsets are gone
+void IncrementalSolver<Pose>::Parts::LogFrame(const internal::MapFrame<Pose>& before, bool has_moved,
+                                              const IncrementalOptions& options) const {
+  if (has_moved) {
+    Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": the map moves as a whole to where its priors put it");
+  }
+  const internal::MapFrame<Pose>& now = map.Frame();
+  const bool is_news = now.gauge.free_shifts != before.gauge.free_shifts ||
+                       now.gauge.free_turns != before.gauge.free_turns ||
+                       (before.absolute.Count() == 0) != (now.absolute.Count() == 0);
+  if (!is_news || now.absolute.Count() == 0 || options.anchor_information) return;
+  const std::string words = internal::DescribeUndetermined(map, options);
+  Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": ",
+      words.empty() ? "the priors determine where the map is and how it is turned" : words.c_str());
 }
 
 // Of the system that the update would have made.
 template <class Pose>
-void IncrementalSolver<Pose>::ThrowSingularUpdate(const GraphUpdate<Pose>& update, const Plan& plan,
-                                                  int failed_variable) const {
+void IncrementalSolver<Pose>::Parts::ThrowSingularUpdate(const GraphUpdate<Pose>& update,
+                                                         const internal::UpdatePlan<Pose>& plan,
+                                                         int failed_variable) const {
   std::map<int, LinearFactor<B>> old;
-  for (int slot = 0; slot < static_cast<int>(factor_of_slot_.size()); ++slot) {
-    if (factor_.FactorAt(slot).first >= 0) old.emplace(slot, factor_.FactorAt(slot));
+  for (int slot = 0; slot < map.Slots(); ++slot) {
+    if (map.Cholesky().FactorAt(slot).first >= 0) old.emplace(slot, map.Cholesky().FactorAt(slot));
   }
   for (const int slot : plan.changes.removed) old.erase(slot);
   for (const auto& [slot, factor] : plan.changes.replaced) old[slot] = factor;
   std::vector<LinearFactor<B>> system = plan.changes.added;
   for (const auto& [slot, factor] : old) system.push_back(factor);
-  std::vector<Pose> values = plan.moved_points.empty() ? linearization_points_ : plan.moved_points;
+  std::vector<Pose> values = plan.moved_points.empty() ? map.Points() : plan.moved_points;
   values.insert(values.end(), plan.new_values.begin(), plan.new_values.end());
   std::vector<PoseId> ids;
-  for (const auto& node : graph_.Poses()) ids.push_back(node.id);
+  for (const auto& node : map.Graph().Poses()) ids.push_back(node.id);
   for (const auto& pose : update.poses) ids.push_back(pose.id);
   SingularityReport report = ExplainSingularity(std::move(system), values, ids, failed_variable);
   report.message = "the update cannot be made: " + report.message;
@@ -144,65 +188,202 @@ void IncrementalSolver<Pose>::ThrowSingularUpdate(const GraphUpdate<Pose>& updat
 }
 
 template <class Pose>
-typename BlockCholesky<IncrementalSolver<Pose>::B>::UpdateReport IncrementalSolver<Pose>::UpdateFactor(
-    typename BlockCholesky<B>::Changes changes, StepReport& report) {
-  typename BlockCholesky<B>::UpdateReport factored;
+void IncrementalSolver<Pose>::Parts::LogStep(const GraphUpdate<Pose>& update, const StepReport& report,
+                                             bool was_deferred, const IncrementalOptions& options) const {
+  if (!options.log) return;
+  Log(options.log, LogLevel::kDebug, "step ", map.Updates(), ": ", update.poses.size(), " poses, ",
+      update.factors.size(), " factors, ", update.removed.size(), " removed; factor ", NameForLog(report.path), " (",
+      report.variables_refactored, " of ", map.Cholesky().Variables(), " poses refactored), gain ", report.gain_nats,
+      " nats; gate ", report.gate_open ? "open" : "closed", " at ", report.gate_value, " (threshold ",
+      options.gate_threshold, "); ", report.iterations, " iterations, ", report.variables_relinearised,
+      " relinearised, ", report.variables_moved, " moved");
+  if (is_deferred && !was_deferred) {
+    Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": over its budget, ", report.deferred_relinearisations,
+        " relinearisations and ", report.deferred_fronts, " subtrees are left to later steps");
+  }
+  if (!is_deferred && was_deferred) {
+    Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": the work left by earlier steps is done");
+  }
+}
+
+// Chi2, its time taken off the step's.
+template <class Pose>
+double IncrementalSolver<Pose>::Parts::TimedChi2(StepReport& report) const {
+  double seconds = 0, chi2 = 0;
   {
-    ScopedTimer timer(seconds_.factor);
-    factored = factor_.Update(std::move(changes));
+    ScopedTimer timer(seconds);
+    chi2 = map.Chi2();
   }
-  seconds_.order += factored.seconds_order;
-  seconds_.factor -= factored.seconds_order;
-  report.fronts_updated += factored.fronts_updated;
-  report.fronts_refactored += factored.fronts;
-  report.variables_refactored += factored.variables;
-  report.flops += factored.flops;
-  return factored;
-}
-
-template <class Pose>
-Pose IncrementalSolver<Pose>::EstimateAt(int index) const {
-  const Eigen::Map<const Vector<B>> d(factor_.Solution().data() + At(index) * B);
-  return linearization_points_.at(At(index)).Retract(d);
-}
-
-template <class Pose>
-std::vector<Pose> IncrementalSolver<Pose>::Estimates() const {
-  std::vector<Pose> out;
-  out.reserve(linearization_points_.size());
-  for (int v = 0; v < static_cast<int>(linearization_points_.size()); ++v) out.push_back(EstimateAt(v));
-  return out;
-}
-
-template <class Pose>
-double IncrementalSolver<Pose>::Chi2() const {
-  const std::vector<Pose> estimates = Estimates();
-  double chi2 = 0;
-  for (const auto& node : graph_.Factors()) {
-    const FactorPoses ends = PosesOf(node.factor);
-    chi2 +=
-        FactorChi2(node.factor, estimates[At(graph_.IndexOf(ends.first))], estimates[At(graph_.IndexOf(ends.second))]);
-  }
+  report.seconds -= seconds;
   return chi2;
+}
+
+template <class Pose>
+void IncrementalSolver<Pose>::Parts::RestartIfLower(Step& step) {
+  const IncrementalOptions& options = step.options;
+  const double cost = map.Chi2();
+  // Still on its way: the next steps bring most such maps to rest in as good a minimum by themselves.
+  if (cost > internal::kSettled * map.MinimumCost()) return;
+  watch.NoteTried(map);
+  BatchOptions batch;
+  batch.threads = options.threads;
+  const std::optional<BatchResult<Pose>> lower = watch.LowerMinimum(cost, true, map, batch);
+  if (!lower || !MoveTo(lower->T_world_body, options)) {
+    Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": chi2 ", cost, ", the innovations explain ",
+        watch.Explained(), "; a restart from the chordal relaxation finds nothing lower");
+    return;
+  }
+  Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": a wrong minimum, chi2 ", cost,
+      ", the innovations explain ", watch.Explained(), "; restarted from the chordal relaxation, chi2 ", lower->chi2);
+  watch.NoteRestart(map);
+  step.report.restarted = true;
+  step.report.variables_moved = step.report.variables_relinearised = map.Cholesky().Variables();
+}
+
+// All linearisation points. False, and nothing changes, if the Cholesky factor does not take them.
+template <class Pose>
+bool IncrementalSolver<Pose>::Parts::MoveTo(const std::vector<Pose>& T_world_body, const IncrementalOptions& options) {
+  Gauge<Pose> gauge = map.Frame().gauge;
+  if (!options.anchor_information) gauge = FindGauge(map.Graph(), T_world_body);
+  if (!map.MoveTo(T_world_body, gauge)) return false;
+  relinearization.ForgetErrors();
+  is_deferred = false;
+  if (options.carry == Carry::kOffset) {
+    StepReport report;
+    Step step{options, map, relinearization, report};
+    internal::BackSubstitute(std::nullopt, step);
+  }
+  return true;
+}
+
+template <class Pose>
+BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
+  auto& [map, relinearization, gate, judge, watch, is_deferred] = *parts_;
+  if (MayRestart(options_) && !Graph().Poses().empty()) {
+    BatchOptions quiet;
+    quiet.threads = options.threads;
+    const double cost = Chi2();
+    if (const auto lower = watch.LowerMinimum(cost, watch.IsSuspected(map), map, quiet)) {
+      BatchResult<Pose> result = FinishFrom(lower->T_world_body, options);
+      if (result.termination != Termination::kNotPositiveDefinite) {
+        Log(options_.log, LogLevel::kInfo, "finish: a wrong minimum, chi2 ", cost,
+            "; restarted from the chordal relaxation, chi2 ", result.chi2);
+        watch.NoteRestart(map);
+      }
+      return result;
+    }
+  }
+  return FinishFrom(Estimates(), options);
 }
 
 template <class Pose>
 BatchResult<Pose> IncrementalSolver<Pose>::FinishFrom(const std::vector<Pose>& T_world_body,
                                                       const BatchOptions& given) {
+  auto& [map, relinearization, gate, judge, watch, is_deferred] = *parts_;
   BatchOptions options = given;
   if (!options.log) options.log = options_.log;
-  BatchResult<Pose> result =
-      IsRobust() ? SolveRobustBatch(T_world_body, options) : SolveBatch(graph_, T_world_body, options);
+  BatchResult<Pose> result = judge.SolveBatch(map, T_world_body, options);
   if (result.termination == Termination::kNotPositiveDefinite) return result;
-  if (IsRobust()) TakeWeights(result.weights);
-  // The factor of this solver moves to the optimum too: every linearisation point changes.
-  const double before = LinearMinimum();
-  if (!MoveTo(result.T_world_body)) throw NumericalError("the system is singular at the optimum");
-  watch_.corrected += std::abs(LinearMinimum() - before);
+  StepReport report;
+  typename Parts::Step step{options_, map, relinearization, report};
+  judge.TakeWeights(result.weights, step);
+  // The Cholesky factor of this solver moves to the optimum too: every linearisation point changes.
+  const double before = map.MinimumCost();
+  if (!parts_->MoveTo(result.T_world_body, options_)) throw NumericalError("the system is singular at the optimum");
+  watch.NoteCorrection(std::abs(map.MinimumCost() - before));
   return result;
 }
 
-template class IncrementalSolver<SE2>;
-template class IncrementalSolver<SE3>;
+template <class Pose>
+int IncrementalSolver<Pose>::Restarts() const {
+  return static_cast<int>(parts_->watch.Restarts());
+}
+template <class Pose>
+const PoseGraph<Pose>& IncrementalSolver<Pose>::Graph() const {
+  return parts_->map.Graph();
+}
+template <class Pose>
+Pose IncrementalSolver<Pose>::EstimateAt(int index) const {
+  return parts_->map.EstimateAt(index);
+}
+template <class Pose>
+std::vector<Pose> IncrementalSolver<Pose>::Estimates() const {
+  return parts_->map.Estimates();
+}
+template <class Pose>
+double IncrementalSolver<Pose>::Chi2() const {
+  return parts_->map.Chi2();
+}
+template <class Pose>
+double IncrementalSolver<Pose>::RobustChi2() const {
+  return parts_->judge.RobustChi2(parts_->map);
+}
+template <class Pose>
+double IncrementalSolver<Pose>::WeightOf(FactorId id) const {
+  return parts_->judge.WeightOf(id, parts_->map);
+}
+template <class Pose>
+const BlockCholesky<Pose::kDof>& IncrementalSolver<Pose>::Factor() const {
+  return parts_->map.Cholesky();
+}
+template <class Pose>
+const std::vector<Pose>& IncrementalSolver<Pose>::LinearizationPoints() const {
+  return parts_->map.Points();
+}
+template <class Pose>
+const PhaseSeconds& IncrementalSolver<Pose>::Seconds() const {
+  return parts_->map.Seconds();
+}
+template <class Pose>
+const Gauge<Pose>& IncrementalSolver<Pose>::CurrentGauge() const {
+  return parts_->map.Frame().gauge;
+}
+template <class Pose>
+std::string IncrementalSolver<Pose>::DescribeUndetermined() const {
+  return internal::DescribeUndetermined(parts_->map, options_);
+}
+template <class Pose>
+void IncrementalSolver<Pose>::SetLog(LogSink log) {
+  options_.log = std::move(log);
+}
+
+template <class Pose>
+template <class Archive>
+void IncrementalSolver<Pose>::Serialize(Archive& archive) {
+  auto& [options, parts] = *this;
+  auto& [map, relinearization, gate, judge, watch, is_deferred] = *parts;
+  archive(options, map, relinearization, gate, judge, watch, is_deferred);
+  relinearization.SerializeTimes(archive);
+  archive(map.Seconds());
+  if constexpr (Archive::kReads) {
+    for (const std::string& defect :
+         {relinearization.FindStateDefect(map), gate.FindStateDefect(), judge.FindStateDefect(map)}) {
+      if (!defect.empty()) archive.Fail(defect);
+    }
+    if ((options.robust.kernel != RobustKernel::kNone) != judge.IsActive()) archive.Fail("loops that nobody judges");
+  }
+}
+
+template <class Pose>
+void IncrementalSolver<Pose>::Save(const std::string& path) const {
+  SaveState(path, StateKind<Pose>("incremental solver"), *this);
+}
+
+template <class Pose>
+IncrementalSolver<Pose> IncrementalSolver<Pose>::Load(const std::string& path, LogSink log) {
+  IncrementalSolver solver = LoadState<IncrementalSolver>(path, StateKind<Pose>("incremental solver"));
+  solver.SetLog(std::move(log));
+  Log(solver.options_.log, LogLevel::kInfo, "restored from ", path, ": ", solver.Graph().Poses().size(), " poses, ",
+      solver.Graph().Factors().size(), " factors after ", solver.parts_->map.Updates(), " steps");
+  return solver;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                   \
+  template class IncrementalSolver<Pose>;                         \
+  template void IncrementalSolver<Pose>::Serialize(StateWriter&); \
+  template void IncrementalSolver<Pose>::Serialize(StateReader&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
 
 }  // namespace terse

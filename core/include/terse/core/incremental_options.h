@@ -87,7 +87,7 @@ struct IncrementalOptions {
   double reweigh_tolerance = 1e-4;
 
   // A step after which the map seems to sit in a wrong minimum, and Finish, try a chordal relaxation of the graph and
-  // go on from there if it costs less (incremental_restart.cpp). kOffset, without a robust kernel.
+  // go on from there if it costs less (core/incremental/minimum_watch.h). kOffset, without a robust kernel.
   bool restart = true;
 
   // At most, and only where a step's work is large; the result is the same to the last bit for any number.

@@ -1,0 +1,35 @@
+#pragma once
+// What the new factors are worth, and whether the map is optimised for them (Arablouei 2026, section III).
+
+#include "incremental/update_plan.h"
+
+namespace terse::internal {
+
+template <class Pose>
+class UpdateGate {
+ public:
+  static constexpr int B = Pose::kDof;
+  // Of the block system before an update.
+  struct Before {
+    double log_determinant = 0;
+    int variables = 0;
+  };
+  static Before Look(const LinearizedGraph<Pose>& map) {
+    return {map.Cholesky().LogDeterminant(), map.Cholesky().Variables()};
+  }
+  // Fills in the report's gain, predicted decrease, gate value and verdict; `plan` holds the linear factors that came.
+  // Whatever its value, the gate opens for what earlier steps left over (is_deferred) and for relinearisation that is
+  // due, as far as it looks at the map at all.
+  void Decide(const GraphUpdate<Pose>& update, const UpdatePlan<Pose>& plan, const Before& before, bool is_deferred,
+              bool is_due, const LinearizedGraph<Pose>& map, const IncrementalOptions& options, StepReport& report);
+
+  template <class Archive>
+  void Serialize(Archive& archive);
+  std::string FindStateDefect() const { return eta_variables_ < 0 ? "it has miscounted" : ""; }
+
+ private:
+  double eta_ = 0;  // 1/2 ln |H| when the previous step's factors had been added
+  int eta_variables_ = 0;
+};
+
+}  // namespace terse::internal

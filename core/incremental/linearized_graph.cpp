@@ -1,0 +1,389 @@
+#include "incremental/linearized_graph.h"
+
+#include <algorithm>
+#include <limits>
+#include <set>
+#include <stdexcept>
+
+#include "cholesky/path_solve.h"
+#include "incremental/update_plan.h"
+#include "support/stopwatch.h"
+#include "terse/core/residual.h"
+#include "terse/core/state_members.h"
+
+namespace terse::internal {
+namespace {
+
+using std::size_t;
+constexpr size_t At(int i) { return static_cast<size_t>(i); }
+constexpr size_t At(FactorId id) { return static_cast<size_t>(id.value); }
+
+// |A d + r|^2 at the present d; 0 for variables beyond it.
+template <int B>
+double LinearCost(const LinearFactor<B>& f, const std::vector<double>& d) {
+  Vector<B> e = f.residual;
+  const auto add = [&](int v, const Matrix<B, B>& A) {
+    if (v >= 0 && (At(v) + 1) * B <= d.size()) e += A * Eigen::Map<const Vector<B>>(d.data() + At(v) * B);
+  };
+  add(f.first, f.A_first);
+  add(f.second, f.A_second);
+  return e.squaredNorm();
+}
+
+template <class Front>
+double Entries(const Front& front) {
+  const double p = front.Columns(), rows = front.Rows() - 1;
+  return p * rows - p * (p - 1) / 2;
+}
+
+}  // namespace
+
+template <class Pose>
+std::vector<Pose> LinearizedGraph<Pose>::Estimates() const {
+  std::vector<Pose> out;
+  out.reserve(points_.size());
+  for (int v = 0; v < static_cast<int>(points_.size()); ++v) out.push_back(EstimateAt(v));
+  return out;
+}
+
+template <class Pose>
+double LinearizedGraph<Pose>::Chi2() const {
+  const std::vector<Pose> estimates = Estimates();
+  double chi2 = 0;
+  for (const auto& node : graph_.Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    chi2 +=
+        FactorChi2(node.factor, estimates[At(graph_.IndexOf(ends.first))], estimates[At(graph_.IndexOf(ends.second))]);
+  }
+  return chi2;
+}
+
+template <class Pose>
+double LinearizedGraph<Pose>::Chi2Of(FactorId id) const {
+  const auto& factor = graph_.FindFactor(id)->factor;
+  const FactorPoses ends = PosesOf(factor);
+  return FactorChi2(factor, EstimateAt(graph_.IndexOf(ends.first)), EstimateAt(graph_.IndexOf(ends.second)));
+}
+
+template <class Pose>
+LinearFactor<Pose::kDof> LinearizedGraph<Pose>::LinearizeSlot(int slot, const PointOf& point) const {
+  const LinearFactor<B>& was = cholesky_.FactorAt(slot);
+  if (slot == anchor_slot_) return was;  // proximal: the same at any value
+  const FactorId id = IdAt(slot);
+  const int second = was.second < 0 ? was.first : was.second;
+  if (id.value >= 0) {
+    return Linearize(graph_.FindFactor(id)->factor, RootAt(slot), was.first, second, point(was.first), point(second));
+  }
+  const auto& fixed = graph_.Poses()[At(was.first)];
+  return Linearize<Pose>(FixedPosePrior<Pose>(fixed.id, *fixed.T_world_body), was.first, was.first, point(was.first),
+                         point(was.first));
+}
+
+template <class Pose>
+typename LinearizedGraph<Pose>::Replacements LinearizedGraph<Pose>::LinearizeAround(
+    const std::map<int, Pose>& points) const {
+  std::set<int> slots;
+  for (const auto& [v, T] : points) slots.insert(cholesky_.SlotsOf(v).begin(), cholesky_.SlotsOf(v).end());
+  const auto point = [&](int v) -> const Pose& {
+    const auto it = points.find(v);
+    return it != points.end() ? it->second : points_[At(v)];
+  };
+  Replacements out;
+  out.reserve(slots.size());
+  for (const int slot : slots) out.emplace_back(slot, LinearizeSlot(slot, point));
+  return out;
+}
+
+template <class Pose>
+Vector<Pose::kDof> LinearizedGraph<Pose>::LinearResidual(int slot) const {
+  const LinearFactor<B>& f = cholesky_.FactorAt(slot);
+  Vector<B> r = f.residual;
+  r += f.A_first * OffsetOf(f.first);
+  if (f.second >= 0) r += f.A_second * OffsetOf(f.second);
+  return r;
+}
+
+template <class Pose>
+double LinearizedGraph<Pose>::DegreesOfFreedom() const {
+  return std::max(1.0, static_cast<double>(measured_scalars_ - B * cholesky_.Variables()));
+}
+
+template <class Pose>
+void LinearizedGraph<Pose>::ChangeCosts(const LinearFactor<B>& factor, int sign) {
+  cost_at_points_ += sign * factor.residual.squaredNorm();
+  cost_at_offsets_ += sign * LinearCost(factor, cholesky_.Solution());
+}
+
+template <class Pose>
+void LinearizedGraph<Pose>::RecountCosts() {
+  cost_at_points_ = cost_at_offsets_ = 0;
+  for (int slot = 0; slot < Slots(); ++slot) {
+    if (cholesky_.FactorAt(slot).first >= 0) ChangeCosts(cholesky_.FactorAt(slot), 1);
+  }
+}
+
+template <class Pose>
+typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::UpdateCholesky(const Changes& changes,
+                                                                                   StepReport& report) {
+  std::vector<LinearFactor<B>> gone;
+  for (const int slot : changes.removed) gone.push_back(cholesky_.FactorAt(slot));
+  for (const auto& change : changes.replaced) gone.push_back(cholesky_.FactorAt(change.first));
+  UpdateReport done;
+  {
+    ScopedTimer timer(seconds_.factor);
+    done = cholesky_.Update(changes);
+  }
+  seconds_.order += done.seconds_order;
+  seconds_.factor -= done.seconds_order;
+  report.fronts_updated += done.fronts_updated;
+  report.fronts_refactored += done.fronts;
+  report.variables_refactored += done.variables;
+  report.flops += done.flops;
+  if (!done.ok) return done;
+  for (const auto& factor : gone) ChangeCosts(factor, -1);
+  return done;
+}
+
+template <class Pose>
+typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::Add(const GraphUpdate<Pose>& update,
+                                                                        const UpdatePlan<Pose>& plan,
+                                                                        StepReport& report) {
+  UpdateReport done = UpdateCholesky(plan.changes, report);
+  if (!done.ok) return done;
+  report.path = done.path;
+  for (const auto& change : plan.changes.replaced) ChangeCosts(change.second, 1);
+  for (const auto& factor : plan.changes.added) ChangeCosts(factor, 1);
+  Commit(update, plan, done.added_slots, report);
+  if (!plan.moved_points.empty()) RecountCosts();  // the offsets are gone
+  return done;
+}
+
+// Nothing here fails short of memory: everything was validated, and the Cholesky factor holds the change already.
+template <class Pose>
+void LinearizedGraph<Pose>::Commit(const GraphUpdate<Pose>& update, const UpdatePlan<Pose>& plan,
+                                   const std::vector<int>& added_slots, StepReport& report) {
+  ++updates_;
+  for (const FactorId id : update.removed) {
+    if (SlotOf(id) >= 0) Release(id);
+    graph_.RemoveFactor(id);
+  }
+  for (size_t k = 0; k < update.poses.size(); ++k) {
+    graph_.AddPose(update.poses[k].id, plan.new_values[k]);
+    graph_.SetFixed(update.poses[k].id, update.poses[k].fixed);
+    points_.push_back(plan.new_values[k]);
+  }
+  size_t slots = 0;
+  for (size_t k = 0; k < update.factors.size(); ++k) {
+    const FactorId id = graph_.AddFactor(update.factors[k]);
+    report.factor_ids.push_back(id);
+    slot_of_factor_.resize(At(id) + 1, -1);
+    if (!plan.IsLoop(k)) Bind(added_slots[slots++], id, plan.W[k]);
+  }
+  // Priors of fixed poses and the anchor have slots, but no id.
+  for (; slots < added_slots.size(); ++slots) Bind(added_slots[slots], FactorId(), Matrix<B, B>::Zero());
+  if (plan.adds_anchor) anchor_slot_ = added_slots.back();
+  frame_ = plan.frame;
+  if (plan.moved_points.empty()) return;
+  std::copy(plan.moved_points.begin(), plan.moved_points.end(), points_.begin());
+  for (int v = 0; v < static_cast<int>(plan.moved_points.size()); ++v) cholesky_.ClearSolution(v);
+}
+
+template <class Pose>
+typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::Exchange(const std::vector<LinearFactor<B>>& in,
+                                                                             const std::vector<int>& out,
+                                                                             StepReport& report) {
+  Changes changes;
+  changes.added = in;
+  changes.removed = out;
+  UpdateReport done = UpdateCholesky(changes, report);
+  if (!done.ok) return done;
+  for (const auto& factor : in) ChangeCosts(factor, 1);
+  return done;
+}
+
+// The slot's measurement is `id` (-1: a fixed pose's prior or the anchor).
+template <class Pose>
+void LinearizedGraph<Pose>::Bind(int slot, FactorId id, const Matrix<B, B>& W) {
+  if (slot >= Slots()) slots_.resize(At(slot) + 1, {FactorId(), Matrix<B, B>::Zero()});
+  slots_[At(slot)].id = id;
+  if (id.value < 0) return;
+  slots_[At(slot)].W = W;
+  slot_of_factor_[At(id)] = slot;
+  measured_scalars_ += Dimension(graph_.FindFactor(id)->factor);
+}
+
+// Before the measurement goes, or waits outside.
+template <class Pose>
+void LinearizedGraph<Pose>::Release(FactorId id) {
+  const size_t slot = At(std::exchange(slot_of_factor_[At(id)], -1));
+  measured_scalars_ -= Dimension(graph_.FindFactor(id)->factor);
+  slots_[slot].id = FactorId();
+}
+
+template <class Pose>
+bool LinearizedGraph<Pose>::Relinearize(const std::map<int, Pose>& points, const Replacements& replaced,
+                                        StepReport& report) {
+  Changes changes;
+  changes.replaced = replaced;
+  if (!UpdateCholesky(changes, report).ok) return false;
+  for (const auto& [v, T] : points) {
+    points_[At(v)] = T;
+    cholesky_.ClearSolution(v);
+    Touch(v);
+  }
+  return true;
+}
+
+template <class Pose>
+bool LinearizedGraph<Pose>::MoveTo(const std::vector<Pose>& T_world_body, const Gauge<Pose>& gauge) {
+  Changes changes;
+  const auto point = [&](int v) -> const Pose& { return T_world_body[At(v)]; };
+  for (int slot = 0; slot < Slots(); ++slot) {
+    if (cholesky_.FactorAt(slot).first < 0) continue;
+    changes.replaced.emplace_back(slot, slot == anchor_slot_ ? Anchor(gauge) : LinearizeSlot(slot, point));
+  }
+  if (!cholesky_.Update(changes).ok) return false;
+  points_ = T_world_body;
+  frame_.gauge = gauge;
+  frame_.found_at = frame_.absolute.Count();
+  for (int v = 0; v < cholesky_.Variables(); ++v) cholesky_.ClearSolution(v);
+  RecountCosts();
+  return true;
+}
+
+template <class Pose>
+std::vector<int> LinearizedGraph<Pose>::Solve(double threshold, std::optional<Clock::time_point> deadline,
+                                              StepReport& report) {
+  std::vector<int> moved = cholesky_.Solve(threshold, deadline);
+  cost_at_offsets_ = MinimumCost();
+  report.solve_flops += cholesky_.LastSolve().flops;
+  report.variables_moved += static_cast<int>(moved.size());
+  for (const int v : moved) Touch(v);
+  return moved;
+}
+
+template <class Pose>
+void LinearizedGraph<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
+  const int variables = cholesky_.Variables();
+  for (int v = variables - new_poses; v < variables; ++v) {
+    Matrix<B, B> H = Matrix<B, B>::Zero();
+    Vector<B> b = Vector<B>::Zero();
+    for (const int slot : cholesky_.SlotsOf(v)) {
+      const LinearFactor<B>& f = cholesky_.FactorAt(slot);
+      const int other = f.first == v ? f.second : f.first;
+      if (other > v) continue;
+      const Matrix<B, B>& A = f.first == v ? f.A_first : f.A_second;
+      Vector<B> r = f.residual;
+      if (other >= 0) r += (f.first == v ? f.A_second : f.A_first) * OffsetOf(other);
+      H += A.transpose() * A;
+      b -= A.transpose() * r;
+    }
+    const Eigen::LLT<Matrix<B, B>> llt(H);
+    if (llt.info() != Eigen::Success) continue;  // held by a later pose only: stays where it was composed
+    const Vector<B> d = llt.solve(b);
+    const auto& slots = cholesky_.SlotsOf(v);
+    for (const int slot : slots) cost_at_offsets_ -= LinearCost(cholesky_.FactorAt(slot), cholesky_.Solution());
+    cholesky_.SetSolution(v, d);
+    for (const int slot : slots) cost_at_offsets_ += LinearCost(cholesky_.FactorAt(slot), cholesky_.Solution());
+    ++report.variables_moved;
+  }
+  report.predicted_decrease -= RemainingDecrease();
+}
+
+template <class Pose>
+typename LinearizedGraph<Pose>::Steps LinearizedGraph<Pose>::TakeStep(const std::vector<int>* scope, double threshold,
+                                                                      StepReport& report) {
+  ScopedTimer timer(seconds_.solve);
+  std::vector<int> solved;
+  if (scope == nullptr) {
+    solved = cholesky_.Solve(threshold);
+    report.solve_flops += cholesky_.LastSolve().flops;
+  } else {
+    const std::vector<int> fronts = AncestorClosure(cholesky_, *scope);
+    solved = SolveOn(cholesky_, fronts);
+    for (const int f : fronts) report.solve_flops += 2 * Entries(cholesky_.FrontAt(f));
+  }
+  Steps steps;
+  for (const int v : scope == nullptr ? solved : *scope) steps.emplace(v, OffsetOf(v));
+  for (const int v : solved) cholesky_.ClearSolution(v);
+  return steps;
+}
+
+template <class Pose>
+template <class Archive>
+void LinearizedGraph<Pose>::Serialize(Archive& archive) {
+  auto& [graph, points, cholesky, slot_of_factor, slots, anchor_slot, frame, cost_at_points, cost_at_offsets,
+         measured_scalars, updates, is_watched, touched, seconds] = *this;
+  archive(graph, points, cholesky, slot_of_factor, anchor_slot, cost_at_points, cost_at_offsets, measured_scalars,
+          updates, is_watched, touched);
+  archive.Each(slots, [&](Slot& slot) {
+    auto& [id, W] = slot;
+    archive(id, W);
+  });
+  auto& [gauge, found_at, absolute] = frame;
+  archive(gauge, found_at, absolute);
+  if constexpr (Archive::kReads) {
+    const std::string defect = FindStateDefect();
+    if (!defect.empty()) archive.Fail(defect);
+  }
+}
+
+// Graph and block system fit together, and every list its index.
+template <class Pose>
+std::string LinearizedGraph<Pose>::FindStateDefect() const {
+  const size_t poses = graph_.Poses().size(), slots = slots_.size();
+  const auto are_below = [](const std::vector<int>& numbers, size_t n, int least = 0) {
+    return std::all_of(numbers.begin(), numbers.end(), [&](int i) { return i >= least && (i < 0 || At(i) < n); });
+  };
+  if (points_.size() != poses || At(cholesky_.Variables()) != poses || !are_below(touched_, poses)) {
+    return "lists by pose have different sizes";
+  }
+  // There may be free slots that no step has ever used: those of a step that failed.
+  if (At(cholesky_.Slots()) < slots || !are_below(slot_of_factor_, slots, -1)) {
+    return "lists by slot have different sizes";
+  }
+  if (static_cast<size_t>(graph_.NextFactorId().value) != slot_of_factor_.size()) return "factors without a slot";
+  size_t bound = 0;
+  long scalars = 0;
+  for (const auto& node : graph_.Factors()) {
+    const int slot = SlotOf(node.id);
+    if (slot < 0) continue;  // out of the map: the loop judge knows it
+    if (IdAt(slot) != node.id) return "a measurement without a slot";
+    const FactorPoses ends = PosesOf(node.factor);
+    const int second = ends.count == 2 ? graph_.IndexOf(ends.second) : -1;
+    const LinearFactor<B>& f = cholesky_.FactorAt(slot);
+    if (f.first != graph_.IndexOf(ends.first) || f.second != second) return "a measurement in a slot of other poses";
+    ++bound;
+    scalars += Dimension(node.factor);
+  }
+  for (int slot = 0; slot < cholesky_.Slots(); ++slot) {
+    const LinearFactor<B>& f = cholesky_.FactorAt(slot);
+    const bool is_bound = At(slot) < slots && IdAt(slot).value >= 0;
+    if (is_bound && bound-- == 0) return "a slot without a measurement";
+    if (is_bound || f.first < 0) continue;
+    if (At(slot) >= slots || f.second >= 0) return "a slot without a measurement";
+    const auto& node = graph_.Poses()[At(f.first)];
+    if (slot != anchor_slot_ && !(node.fixed && node.T_world_body)) return "a pose is held that is not fixed";
+  }
+  if (anchor_slot_ < -1 || anchor_slot_ >= cholesky_.Slots() || (anchor_slot_ < 0) != (poses == 0) ||
+      (anchor_slot_ >= 0 && cholesky_.FactorAt(anchor_slot_).first != 0)) {
+    return "the map is not anchored";
+  }
+  const AbsoluteFactors absolute = CountAbsoluteFactors(graph_);
+  if (scalars != measured_scalars_ || absolute.pose_priors != frame_.absolute.pose_priors ||
+      absolute.position_priors != frame_.absolute.position_priors || updates_ < 0 ||
+      updates_ >= std::numeric_limits<long>::max() / 2) {
+    return "it has miscounted";
+  }
+  return "";
+}
+
+#define TERSE_INSTANTIATE(Pose)                                              \
+  template class LinearizedGraph<Pose>;                                      \
+  template void LinearizedGraph<Pose>::Serialize<StateWriter>(StateWriter&); \
+  template void LinearizedGraph<Pose>::Serialize<StateReader>(StateReader&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse::internal

@@ -1,0 +1,81 @@
+#pragma once
+// Loops that may be wrong.
+//
+// Given everything else, the residual of a loop (whitened, n = that without the loop) and its covariance P = J Sigma J'
+// say what any weight w would make of it: r(w) = (I + w P)^-1 n; the linearised cost would grow by n' (I + P)^-1 n, its
+// innovation. Both come from one forward substitution along the paths of its poses, without touching the Cholesky
+// factor.
+//
+// kGnc minimises truncated least squares over which loops are in. A new loop, or one that the estimate contradicts, is
+// judged together with those that oppose or support it: graduated non-convexity on their joint n and P, then single
+// flips while these lower the cost. A loop that is out takes no part. The other kernels weigh every loop.
+
+#include "incremental/steps.h"
+#include "incremental/update_plan.h"
+
+namespace terse::internal {
+
+template <class Pose>
+class LoopJudge {
+ public:
+  static constexpr int B = Pose::kDof;
+  using Map = LinearizedGraph<Pose>;
+  LoopJudge() = default;
+  explicit LoopJudge(const RobustOptions& options);  // without a kernel it has nothing to do
+  bool IsActive() const { return options_.kernel != RobustKernel::kNone; }
+
+  // Follows the map: its slots after every update, a slot before it is released, a measurement that is removed.
+  void Resize(const Map& map);
+  void Release(int slot);
+  void Unpark(FactorId id);
+
+  // The loops among the factors of an update that has been made: each comes in with the weight that its innovation
+  // deserves, or stays out. Those that are in join plan.changes.added, for the gate counts what they bring.
+  void Admit(UpdatePlan<Pose>& plan, StepContext<Pose>& step);
+  // Loops on poses that moved, and now and then those that are out, are judged again, while anything changes.
+  void Review(StepContext<Pose>& step);
+
+  double RobustChi2(const Map& map) const;
+  double WeightOf(FactorId id, const Map& map) const;
+  // The batch optimum from these values with this judge's kernel; then its weights, by position in the graph's factors.
+  BatchResult<Pose> SolveBatch(const Map& map, const std::vector<Pose>& T_world_body, BatchOptions options) const;
+  void TakeWeights(const std::vector<double>& weights, StepContext<Pose>& step);
+
+  template <class Archive>
+  void Serialize(Archive& archive);
+  std::string FindStateDefect(const Map& map) const;
+
+ private:
+  struct Loop;
+  using Loops = std::vector<Loop>;
+  struct OfSlot {
+    char is_loop = 0, is_listed = 0;
+    double weight = 1;       // of a loop; the slot's W contains its root
+    double judged_chi2 = 0;  // kGnc: of a loop, when it was judged
+  };
+  struct Parked {
+    FactorId id;
+    double chi2;  // when it was judged
+  };
+  OfSlot& At(int slot) { return slots_[static_cast<std::size_t>(slot)]; }
+  bool Chooses() const { return options_.kernel == RobustKernel::kGnc; }
+  void Park(FactorId id, double chi2);
+  double WeightOnArrival(Loop& loop, const Map& map) const;
+  bool Exchange(const Loops& in, const Loops& out, StepContext<Pose>& step);
+  void LogLoops(const Loops& loops, const char* what, const StepContext<Pose>& step) const;
+  bool AdmitLoops(const Loops& loops, StepContext<Pose>& step);
+  void AddContestants(Loops& contest, const Map& map) const;
+  bool Judge(Loops& loops, StepContext<Pose>& step);
+  std::vector<int> TouchedLoops(Map& map);
+  bool ReviewMembers(StepContext<Pose>& step);
+  bool ReviewWeights(StepContext<Pose>& step);
+  bool RetryParked(StepContext<Pose>& step);
+  void SetWeight(int slot, double weight, Map& map);
+
+  RobustOptions options_;
+  double width_ = 0;            // from the options
+  std::vector<OfSlot> slots_;   // empty without a kernel
+  std::vector<Parked> parked_;  // kGnc: loops that are out, ascending
+};
+
+}  // namespace terse::internal

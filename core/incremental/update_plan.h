@@ -1,0 +1,47 @@
+#pragma once
+// Everything an update will change, worked out before anything is.
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "incremental/linearized_graph.h"
+
+namespace terse::internal {
+
+template <class Pose>
+struct UpdatePlan {
+  static constexpr int B = Pose::kDof;
+  std::map<PoseId, int> new_index;
+  std::vector<Pose> new_values;  // in the order of update.poses
+  typename BlockCholesky<B>::Changes changes;
+  std::vector<Matrix<B, B>> W;  // of update.factors
+  std::vector<char> is_loop;    // by update.factors; with a robust kernel, else empty. Loops are not in `changes`
+  bool adds_anchor = false;
+  MapFrame<Pose> frame;
+  std::vector<Pose> moved_points;  // of the poses that were there, if the map moves as a whole; else empty
+
+  bool IsLoop(std::size_t k) const { return !is_loop.empty() && is_loop[k] != 0; }
+  int IndexOf(PoseId id, const PoseGraph<Pose>& graph) const {
+    const auto it = new_index.find(id);
+    return it != new_index.end() ? it->second : graph.IndexOf(id);
+  }
+};
+
+// Checks the update, gives its new poses values, finds the frame and linearises what comes. Throws
+// std::invalid_argument as IncrementalSolver::Update says.
+template <class Pose>
+UpdatePlan<Pose> PlanUpdate(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map,
+                            const IncrementalOptions& options);
+
+// What the anchor will hold. Where it lets go, the map goes to where the measurements say before it does: the values of
+// new poses move with it, and everything that stays is linearised where it comes to lie.
+template <class Pose>
+void PlanFrame(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map, const IncrementalOptions& options,
+               UpdatePlan<Pose>& plan);
+
+// What absolute measurements so far leave undetermined, in words (gauge.h); "" if nothing, or if there are none.
+template <class Pose>
+std::string DescribeUndetermined(const LinearizedGraph<Pose>& map, const IncrementalOptions& options);
+
+}  // namespace terse::internal
