@@ -132,6 +132,16 @@ TEST_F(DamagedFiles, SmallestId) {
   EXPECT_FALSE(Exists("new/graph.json") || Exists("out.tum"));
 }
 
+// Bytes that are no text become replacement characters in JSON, whatever it tells of them.
+TEST_F(DamagedFiles, NamesThatAreNoText) {
+  Succeed("generate ellipse-n --laps 1 --seed 3 --output in.g2o");
+  Write("in\xff.g2o", Read("in.g2o"));
+  EXPECT_EQ(json::parse(Succeed("info in\xff.g2o --json").out)["poses"], 207);
+  Succeed("compact in\xff.g2o --strategy fpfl --quiet --output run\xff");
+  Succeed("report run\xff --output page.html --quiet");
+  EXPECT_TRUE(json::accept(Read("run\xff/stats.json")));
+}
+
 TEST_F(DamagedFiles, VerboseTakesNoValue) {
   Succeed("generate ellipse-n --laps 1 --seed 3 --output in.g2o");
   for (const std::string value : {"abc", "2", "false", "99999999999999999999"}) {

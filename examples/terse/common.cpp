@@ -155,7 +155,7 @@ void FlushOutput() {
 }
 
 void PrintJson(const nlohmann::ordered_json& json) {
-  std::cout << json.dump(2) << '\n';
+  std::cout << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << '\n';
   FlushOutput();
 }
 

@@ -102,7 +102,7 @@ nlohmann::ordered_json ToJson(const Stats& stats) {
 
 void WriteJson(const nlohmann::ordered_json& json, const std::string& path) {
   AtomicFile file(path);
-  file.Stream() << json.dump(2) << '\n';
+  file.Stream() << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << '\n';
   file.Commit();
 }
 

@@ -22,7 +22,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   fuzz::Done([&] {
     const std::vector<RunFolder> runs = ReadRunFolders({folder.Path()});
-    ReportToJson(runs).dump();
+    ReportToJson(runs).dump(-1, ' ', false,
+                            nlohmann::ordered_json::error_handler_t::replace);  // as the page is written
     DrawMaps(runs);
     DrawGains(runs);
     DrawTimings(runs);
