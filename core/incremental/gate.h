@@ -1,5 +1,6 @@
 #pragma once
-// What the new factors are worth, and whether the map is optimised for them (Arablouei 2026, section III).
+// What the new factors are worth, and whether the map is optimised for them (Arablouei 2026; the values are in
+// docs/algorithms.md).
 
 #include "incremental/update_plan.h"
 
