@@ -42,10 +42,16 @@ class Axis {
     high_ = std::max(high_, value);
     is_whole_ = is_whole_ && value == std::round(value);
   }
-  bool Takes(double value) const { return std::isfinite(value) && (!logarithmic_ || value > 0); }
+  // What is beyond has no place on an axis whose length is a number too.
+  bool Takes(double value) const {
+    return std::abs(value) <= kMostMagnitude && (!logarithmic_ || value >= 1 / kMostMagnitude);
+  }
 
   void Close() {
     if (low_ > high_) low_ = logarithmic_ ? 1 : 0, high_ = logarithmic_ ? 10 : 1;
+    // So close that steps between them would be lost in rounding: as equal.
+    const double size = std::max(std::abs(low_), std::abs(high_));
+    if (!(high_ - low_ > std::max(1e-12 * size, 1 / kMostMagnitude))) high_ = low_;
     logarithmic_ ? CloseLogarithmic() : CloseLinear();
   }
   double Share(double value) const {
@@ -54,6 +60,7 @@ class Axis {
   const std::vector<double>& Ticks() const { return ticks_; }
 
  private:
+  static constexpr double kMostMagnitude = 1e300;
   double NiceStep() const {
     const double rough = (high_ - low_) / 5, power = std::pow(10, std::floor(std::log10(rough)));
     double step = 10 * power;
