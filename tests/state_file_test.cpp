@@ -236,6 +236,23 @@ TYPED_TEST(StateFileTest, KeepsFactorIds) {
   EXPECT_EQ(loaded.Update(again).factor_ids.at(0).value, added.value + 1);
 }
 
+// What a measurement counted for goes with it: a stored state in which it does not is refused.
+TYPED_TEST(StateFileTest, RemovedMeasurementsLeaveNothing) {
+  IncrementalOptions options;
+  options.relinearize_interval = 1;
+  options.relinearize_tolerance = 1e-2;
+  IncrementalSolver<TypeParam> solver(options);
+  for (const auto& update : RandomUpdates<TypeParam>(5, 60)) solver.Update(update);
+  GraphUpdate<TypeParam> removal;
+  for (const auto& node : solver.Graph().Factors()) {
+    const auto* f = std::get_if<RelativePoseFactor<TypeParam>>(&node.factor);
+    if (f != nullptr && std::abs(f->from.value - f->to.value) > 3) removal.removed.push_back(node.id);
+  }
+  ASSERT_GT(removal.removed.size(), 10u);
+  solver.Update(removal);
+  EXPECT_TRUE(SavedBytes(SavedAndLoaded(solver)) == SavedBytes(solver));
+}
+
 // Versions, identities and the history of changes are those of a new factor; covariances must not notice otherwise.
 TYPED_TEST(StateFileTest, CovariancesAreThoseOfTheRunningSolver) {
   IncrementalSolver<TypeParam> running;

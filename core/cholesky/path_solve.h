@@ -1,5 +1,6 @@
 #pragma once
-// Substitution for single factors along the paths of a block factor's tree: what a factor that is not in it would see.
+// Substitution along paths of a block factor's tree: for single factors, what one that is not in it would see, and for
+// some variables, their share of the Gauss-Newton step.
 
 #include <Eigen/Dense>
 #include <cstddef>

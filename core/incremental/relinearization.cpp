@@ -346,6 +346,10 @@ std::string Relinearization<Pose>::FindStateDefect(const Map& map) const {
   if (slots_.size() != static_cast<size_t>(map.Slots()) || !are_below(suspects_, slots_.size())) {
     return "lists by slot have different sizes";
   }
+  for (int slot = 0; slot < map.Slots(); ++slot) {
+    const bool is_measured = map.IdAt(slot).value >= 0;
+    if (!is_measured && slots_[static_cast<size_t>(slot)].error != 0) return "an error of no measurement";
+  }
   const auto is_count = [](long number) { return number >= 0 && number < std::numeric_limits<long>::max() / 2; };
   return is_count(look_) && is_count(looked_at_) ? "" : "it has miscounted";
 }
