@@ -9,6 +9,7 @@
 #include "compact_pose_slam_parts.h"
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
+#include "terse/core/chi_square.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "terse/compact/innovation.h"
+#include "terse/core/chi_square.h"
 #include "terse/core/error.h"
 #include "terse/core/robust.h"
 

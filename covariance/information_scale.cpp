@@ -10,6 +10,7 @@
 #include "information_kinds.h"
 #include "information_probe.h"
 #include "terse/core/batch_solver.h"
+#include "terse/core/chi_square.h"
 #include "terse/core/error.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/linear_factor.h"

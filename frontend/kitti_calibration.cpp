@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "terse/core/atomic_file.h"
+#include "terse/core/number_text.h"
 #include "terse/core/text_lines.h"
 
 namespace terse {
@@ -53,7 +54,7 @@ KittiCalibration ReadKittiCalibration(const std::string& path, KittiPair pair) {
   }
   const auto fail = [&](const std::string& cause) { throw FileError(path, right->line, cause); };
   if (!Near(left->fx, right->fx) || !Near(left->fy, right->fy)) {
-    fail(right_name + " has the focal length " + Rounded(right->fx) + ", " + left_name + " " + Rounded(left->fx) +
+    fail(right_name + " has the focal length " + SixDigits(right->fx) + ", " + left_name + " " + SixDigits(left->fx) +
          "; the images of a rectified pair have the same");
   }
   if (!Near(left->cx, right->cx) || !Near(left->cy, right->cy)) {
@@ -61,7 +62,7 @@ KittiCalibration ReadKittiCalibration(const std::string& path, KittiPair pair) {
   }
   const double baseline = left->t_camera_camera0.x() - right->t_camera_camera0.x();
   if (!(baseline > 0)) {
-    fail("the baseline from " + left_name + " to " + right_name + " is " + Rounded(baseline) +
+    fail("the baseline from " + left_name + " to " + right_name + " is " + SixDigits(baseline) +
          " m; the right camera must be on the right");
   }
   KittiCalibration out;

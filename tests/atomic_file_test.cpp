@@ -1,4 +1,5 @@
 #include "terse/core/atomic_file.h"
+#include "terse/core/number_text.h"
 
 #include <gtest/gtest.h>
 #include <signal.h>

@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "terse/compact/graph_replay.h"
+#include "terse/core/chi_square.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/robust.h"
 #include "terse/core/trajectory.h"

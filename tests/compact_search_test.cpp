@@ -7,6 +7,7 @@
 
 #include "compact/pose_index.h"
 #include "terse/compact/information.h"
+#include "terse/core/chi_square.h"
 #include "terse/covariance/marginals.h"
 #include "testing_compact.h"
 

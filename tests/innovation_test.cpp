@@ -8,6 +8,7 @@
 #include <algorithm>
 
 #include "terse/core/batch_solver.h"
+#include "terse/core/chi_square.h"
 #include "terse/core/outliers.h"
 #include "testing_compact.h"
 

@@ -1,6 +1,7 @@
 // Robust kernels, and wrong loops in the batch and the incremental solver.
 
 #include "terse/core/robust.h"
+#include "terse/core/chi_square.h"
 
 #include <gtest/gtest.h>
 

@@ -12,6 +12,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

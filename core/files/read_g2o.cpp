@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "files/read_graph.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {
@@ -18,7 +19,7 @@ SE3 SpatialPoseFields(const Fields& fields, int first) {
   const double norm = q.norm();
   // Files print quaternions with as few as four digits; further off is another field order or a broken line.
   if (!(std::abs(norm - 1) <= 1e-2)) {
-    throw fields.Error("the quaternion has norm " + Rounded(norm) + " instead of 1");
+    throw fields.Error("the quaternion has norm " + SixDigits(norm) + " instead of 1");
   }
   return SE3(SO3(q), position);
 }

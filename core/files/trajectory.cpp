@@ -11,6 +11,7 @@
 
 #include "terse/core/atomic_file.h"
 #include "terse/core/graph_file.h"
+#include "terse/core/number_text.h"
 #include "terse/core/text_lines.h"
 
 namespace terse {
@@ -33,7 +34,7 @@ SE3 TumPose(const Fields& fields) {
   const Quaternion q(v[6], v[3], v[4], v[5]);
   const double norm = q.coeffs().stableNorm();
   if (std::abs(norm - 1) > kQuaternionTolerance) {
-    throw fields.Error("the quaternion has norm " + Rounded(norm) + ", expected 1");
+    throw fields.Error("the quaternion has norm " + SixDigits(norm) + ", expected 1");
   }
   return SE3(SO3(q), Vector<3>(v[0], v[1], v[2]));
 }
@@ -65,7 +66,7 @@ SE3 KittiPose(const Fields& fields) {
   const Eigen::Matrix3d R = M.leftCols<3>();
   const double error = (R.transpose() * R - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
   if (!(error <= kMatrixTolerance)) {
-    throw fields.Error("the matrix is not a rotation: R^T R differs from the identity by " + Rounded(error) +
+    throw fields.Error("the matrix is not a rotation: R^T R differs from the identity by " + SixDigits(error) +
                        ", expected 0");
   }
   if (R.determinant() < 0) throw fields.Error("the matrix is a reflection, expected a rotation");

@@ -4,6 +4,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/graph_file.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

@@ -228,11 +228,4 @@ void RemoveUncommittedFiles() noexcept {
   errno = saved_errno;
 }
 
-std::string Shortest(double value) {
-  if (std::isnan(value)) return "nan";
-  char text[32];
-  const std::to_chars_result end = std::to_chars(text, text + sizeof(text), value);
-  return std::string(text, end.ptr);
-}
-
 }  // namespace terse

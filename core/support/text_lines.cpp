@@ -129,12 +129,6 @@ std::int64_t Fields::Integer(int i, const char* name) const {
   return value;
 }
 
-std::string Rounded(double value) {
-  char text[32];
-  const std::to_chars_result end = std::to_chars(text, text + sizeof(text), value, std::chars_format::general, 6);
-  return std::string(text, end.ptr);
-}
-
 std::string Quoted(std::string_view text) {
   constexpr std::size_t kLongest = 60;
   std::string out;

@@ -1,6 +1,7 @@
 #include "calibration.h"
 
 #include "terse/core/atomic_file.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

@@ -8,6 +8,7 @@
 #include "policy.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/descriptor.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

@@ -4,6 +4,7 @@
 
 #include "svg_chart.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

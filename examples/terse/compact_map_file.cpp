@@ -7,6 +7,7 @@
 #include "json_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

@@ -12,6 +12,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/graph_file.h"
+#include "terse/core/number_text.h"
 #include "terse/core/read_file.h"
 #include "terse/covariance/incremental_marginals.h"
 #include "thresholds_file.h"

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "compact_steps.h"
-#include "report.h"
+#include "run_statistics.h"
 #include "terse/compact/compact_graph.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/rotation_information.h"

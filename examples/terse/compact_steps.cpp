@@ -4,6 +4,7 @@
 
 #include "terse/core/atomic_file.h"
 #include "terse/core/evaluate.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

@@ -6,8 +6,8 @@
 #include "compact_run.h"
 #include "compact_steps.h"
 #include "progress.h"
-#include "report.h"
 #include "run_report.h"
+#include "run_statistics.h"
 #include "terse/covariance/incremental_marginals.h"
 
 namespace terse {

@@ -5,7 +5,7 @@
 
 #include "commands.h"
 #include "output_paths.h"
-#include "report.h"
+#include "run_statistics.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {

@@ -7,11 +7,12 @@
 #include "covariance_output.h"
 #include "output_paths.h"
 #include "progress.h"
-#include "report.h"
+#include "run_statistics.h"
 #include "start.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/gauge.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/number_text.h"
 #include "terse/covariance/marginals.h"
 #include "verbose.h"
 

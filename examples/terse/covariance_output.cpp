@@ -5,6 +5,7 @@
 #include "commands.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

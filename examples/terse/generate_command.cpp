@@ -10,6 +10,7 @@
 #include "terse/core/batch_solver.h"
 #include "terse/core/generate.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/number_text.h"
 #include "terse/core/outliers.h"
 #include "terse/core/trajectory.h"
 

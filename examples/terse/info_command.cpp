@@ -3,7 +3,7 @@
 
 #include "calibration.h"
 #include "commands.h"
-#include "report.h"
+#include "run_statistics.h"
 
 namespace terse {
 namespace {

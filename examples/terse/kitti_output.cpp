@@ -7,8 +7,9 @@
 
 #include "commands.h"
 #include "compact_output.h"
-#include "report.h"
 #include "run_report.h"
+#include "run_statistics.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {

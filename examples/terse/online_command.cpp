@@ -13,7 +13,7 @@
 #include "online_json.h"
 #include "output_paths.h"
 #include "policy.h"
-#include "report.h"
+#include "run_statistics.h"
 #include "terse/core/measurement_line.h"
 #include "thresholds_file.h"
 #include "verbose.h"

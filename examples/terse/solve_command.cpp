@@ -8,7 +8,7 @@
 #include "output_paths.h"
 #include "policy.h"
 #include "progress.h"
-#include "report.h"
+#include "run_statistics.h"
 #include "start.h"
 #include "step_covariances.h"
 #include "terse/core/atomic_file.h"

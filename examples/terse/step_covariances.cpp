@@ -1,7 +1,8 @@
 #include "step_covariances.h"
 
 #include "covariance_output.h"
-#include "report.h"
+#include "run_statistics.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 

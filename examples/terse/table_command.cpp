@@ -12,7 +12,7 @@
 #include "ground_truth.h"
 #include "policy.h"
 #include "progress.h"
-#include "report.h"
+#include "run_statistics.h"
 #include "terse/core/error.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/replay.h"

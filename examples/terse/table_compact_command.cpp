@@ -10,8 +10,8 @@
 #include "compact_table_text.h"
 #include "document.h"
 #include "output_paths.h"
-#include "report.h"
 #include "run_report.h"
+#include "run_statistics.h"
 #include "terse/core/error.h"
 #include "text_table.h"
 

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "json_file.h"
-#include "report.h"
+#include "run_statistics.h"
 #include "terse/core/error.h"
 
 namespace terse {

@@ -6,6 +6,7 @@
 #include "bench_report.h"
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
+#include "terse/core/chi_square.h"
 #include "terse/covariance/incremental_marginals.h"
 
 namespace terse::bench {

@@ -37,10 +37,6 @@ struct RobustOptions {
 // What is wrong with the options, or "".
 std::string FindDefect(const RobustOptions& options);
 
-// x with P(chi-square of `dof` degrees <= x) = probability, to rounding; O(dof). Throws std::invalid_argument unless
-// 0 <= probability < 1 and dof >= 1.
-double ChiSquareQuantile(double probability, int dof);
-
 // c^2 is what a true factor of so many scalars exceeds once in a hundred times. Tukey's is three times that: its cost
 // then ends where truncated least squares ends.
 double DefaultRobustWidth(RobustKernel kernel, int dimension);

@@ -48,7 +48,4 @@ class AtomicFile {
 // Removes every temporary not committed yet. Async-signal-safe, for a SIGINT handler that then exits.
 void RemoveUncommittedFiles() noexcept;
 
-// The shortest decimal text that reads back as the same double ("nan" and "inf" as such), whatever the locale.
-std::string Shortest(double value);
-
 }  // namespace terse

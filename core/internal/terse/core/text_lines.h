@@ -68,7 +68,5 @@ class Fields {
 
 // Text in quotes for a message, cut if long, unprintable bytes as "?".
 std::string Quoted(std::string_view text);
-// Six digits, for a message.
-std::string Rounded(double value);
 
 }  // namespace terse

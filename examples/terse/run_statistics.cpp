@@ -1,4 +1,4 @@
-#include "report.h"
+#include "run_statistics.h"
 
 #include <sys/resource.h>
 
@@ -14,6 +14,7 @@
 #include "commands.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/linear_factor.h"
+#include "terse/core/number_text.h"
 
 namespace terse {
 namespace {
