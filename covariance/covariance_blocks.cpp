@@ -1,12 +1,12 @@
 #include "terse/covariance/covariance_blocks.h"
 
-#include "factor_paths.h"
+#include "terse/core/front_paths.h"
 
 namespace terse {
 namespace {
 
 using internal::At;
-using internal::FactorPaths;
+using internal::FrontPaths;
 using internal::RightHandSide;
 using internal::Stride;
 using std::size_t;
@@ -40,7 +40,7 @@ struct ForwardSolution {
   std::vector<double>& scratch;
   int stride, rows = 0;
 
-  ForwardSolution(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, const std::vector<RightHandSide<B>>& E)
+  ForwardSolution(const BlockCholesky<B>& factor, const FrontPaths<B>& paths, const std::vector<RightHandSide<B>>& E)
       : base(At(paths.Size())),
         first(At(paths.Size()), internal::kNoRow),
         row_of(internal::RowScratch(factor.Variables())),
@@ -67,7 +67,7 @@ struct ForwardSolution {
   ForwardSolution(const ForwardSolution&) = delete;
   ForwardSolution& operator=(const ForwardSolution&) = delete;
   // The row of v is needed, or not zero.
-  void Lower(const FactorPaths<B>& paths, std::vector<int>& bound, int v) const {
+  void Lower(const FrontPaths<B>& paths, std::vector<int>& bound, int v) const {
     const size_t front = At(paths.PositionOf(v));
     bound[front] = std::min(bound[front], row_of[At(v)] - base[front]);
   }
@@ -91,7 +91,7 @@ std::vector<RightHandSide<B>> Columns(const std::vector<int>& variables) {
 // Z' Z with all columns on all paths.
 template <int B>
 MatrixX Gram(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>& E, Eigen::Index size) {
-  FactorPaths<B> paths(factor);
+  FrontPaths<B> paths(factor.Tree());
   for (const auto& e : E) paths.Add(e.variable);
   const ForwardSolution<B> Z(factor, paths, E);
   const int n = Z.stride;
@@ -106,7 +106,7 @@ MatrixX Gram(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>
 
 // Brings together what starts at path front k and what comes from below. Returns the first row that is not zero.
 template <int B>
-int Meet(const BlockCholesky<B>& factor, const FactorPaths<B>& paths, int k, const std::vector<int>& variables,
+int Meet(const BlockCholesky<B>& factor, const FrontPaths<B>& paths, int k, const std::vector<int>& variables,
          std::vector<Passing>& passing) {
   const auto& front = paths[k];
   Passing& here = passing[At(k)];
@@ -169,7 +169,7 @@ void AddGram(const Passing& here, int first, int rows, std::vector<double>& gram
 template <int B>
 MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows,
                          const std::vector<int>& columns) {
-  FactorPaths<B> paths(factor);
+  FrontPaths<B> paths(factor.Tree());
   for (const int v : columns) paths.Add(v);
   for (const int v : rows) paths.Add(v);
   ForwardSolution<B> solution(factor, paths, Columns<B>(columns));
@@ -199,7 +199,7 @@ template <int B>
 MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& variables) {
   const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
   if (variables.size() <= kFew) return Gram(factor, Columns<B>(variables), size);
-  FactorPaths<B> paths(factor);
+  FrontPaths<B> paths(factor.Tree());
   for (const int v : variables) paths.Add(v);
   std::vector<Passing> passing(At(paths.Size()));
   for (size_t q = 0; q < variables.size(); ++q) {
@@ -212,8 +212,8 @@ MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& 
     Passing& here = passing[At(k)];
     const int ld = front.Rows(), p = front.Columns();
     const int first = Meet(factor, paths, k, variables, passing);
-    internal::Kernels().substitute_forward(front.panel.data() + At(first) * At(ld) + At(first), ld, ld - 1 - first,
-                                           p - first, here.x.data() + At(first) * At(here.stride), here.stride);
+    internal::Kernels().substitute_forward(front.Entry(first, first), ld, ld - 1 - first, p - first,
+                                           here.x.data() + At(first) * At(here.stride), here.stride);
     AddGram<B>(here, first, p - first, gram, joint);
     if (paths.ParentOf(k) >= 0) passing[At(paths.ParentOf(k))].below.push_back(k);
   }

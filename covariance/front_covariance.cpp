@@ -131,7 +131,7 @@ void SetCrossBlocks(int p, int s, const double* M, int ldv, double* Sigma, int n
 }  // namespace
 
 template <int B>
-void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const double* parent, int ldp,
+void ComputeFrontCovariance(const Front<B>& front, const double* parent, int ldp,
                             const std::vector<int>& rows_in_parent, bool diagonal_only, double* Sigma,
                             FrontScratch& scratch) {
   const DenseKernels& kernels = Kernels();
@@ -146,8 +146,7 @@ void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const
     // K' = L_PP^-T L_SP' (p x s).
     for (int r0 = 0; r0 < ldv; r0 += kChunk) {
       const int rows = std::min(kChunk, ldv - r0);
-      kernels.set_rectangle(K + r0, ldv, V + At(r0) * At(ldv) + At(r0), ldv,
-                            front.panel.data() + At(r0) * At(ld) + At(p), ld, rows, s, p - r0);
+      kernels.set_rectangle(K + r0, ldv, V + At(r0) * At(ldv) + At(r0), ldv, front.Entry(p, r0), ld, rows, s, p - r0);
     }
     // M = K' Sigma_SS = -Sigma_PS.
     thread_local std::vector<Run> runs;
@@ -171,7 +170,7 @@ void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const
 
 // X_P = -K' X_S, for a front off the path of the column's variable.
 template <int B>
-void ExtendColumn(const typename BlockCholesky<B>::Front& front, const FrontScratch& scratch, std::vector<double>& X,
+void ExtendColumn(const Front<B>& front, const FrontScratch& scratch, std::vector<double>& X,
                   std::vector<double>& buffer) {
   constexpr int kStride = Stride(B);
   const int p = front.Columns(), s = front.Rows() - 1 - p, ldv = Padded(p);
@@ -199,7 +198,8 @@ template <int B>
 void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch,
                          const ColumnOfAll* column) {
   out.resize(At(factor.Variables()));
-  FactorPaths<B> paths(factor);
+  const FrontTree<B>& tree = factor.Tree();
+  FrontPaths<B> paths(tree);
   if (column != nullptr) {
     paths.Add(column->variable);
     SolvePaths(paths, {{column->variable, 0, Matrix<B, B>::Identity()}}, factor.Variables(), *column->X, Stride(B));
@@ -209,7 +209,7 @@ void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B
   const auto visit = [&](int id, const std::vector<int>& rows) {
     if (path.size() == depth) path.emplace_back();
     RecursionLevel& here = path[depth];
-    const auto& front = factor.FrontAt(id);
+    const auto& front = tree[id];
     const int n = here.n = front.Rows() - 1;
     here.front = id;
     here.next_child = 0;
@@ -229,14 +229,14 @@ void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B
     SetRows<B>(front, factor.Variables(), scratch.front);
     here.rows.resize(front.children.size());
     for (std::size_t k = 0; k < front.children.size(); ++k) {
-      SeparatorRows<B>(factor.FrontAt(front.children[k]), scratch.front, here.rows[k]);
+      SeparatorRows<B>(tree[front.children[k]], scratch.front, here.rows[k]);
     }
   };
-  for (const int root : factor.Roots()) {
+  for (const int root : tree.Roots()) {
     visit(root, {});
     while (depth > 0) {
       RecursionLevel& top = path[depth - 1];
-      const auto& children = factor.FrontAt(top.front).children;
+      const auto& children = tree[top.front].children;
       if (top.next_child == children.size()) {
         --depth;
       } else {
@@ -252,9 +252,9 @@ template void ComputeAllDiagonals<3>(const BlockCholesky<3>&, std::vector<Matrix
                                      const ColumnOfAll*);
 template void ComputeAllDiagonals<6>(const BlockCholesky<6>&, std::vector<Matrix<6, 6>>&, RecursionScratch&,
                                      const ColumnOfAll*);
-template void ComputeFrontCovariance<3>(const BlockCholesky<3>::Front&, const double*, int, const std::vector<int>&,
-                                        bool, double*, FrontScratch&);
-template void ComputeFrontCovariance<6>(const BlockCholesky<6>::Front&, const double*, int, const std::vector<int>&,
-                                        bool, double*, FrontScratch&);
+template void ComputeFrontCovariance<3>(const Front<3>&, const double*, int, const std::vector<int>&, bool, double*,
+                                        FrontScratch&);
+template void ComputeFrontCovariance<6>(const Front<6>&, const double*, int, const std::vector<int>&, bool, double*,
+                                        FrontScratch&);
 
 }  // namespace terse::internal

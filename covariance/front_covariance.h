@@ -3,8 +3,8 @@
 
 #include <vector>
 
-#include "factor_paths.h"
 #include "terse/core/block_cholesky.h"
+#include "terse/core/front_paths.h"
 
 namespace terse::internal {
 
@@ -19,30 +19,28 @@ constexpr int Padded(int rows) { return (rows + 7) / 8 * 8; }
 
 // Where a front's separators are among the parent's [P; S], in scalars. scratch.row_of holds the parent's rows.
 template <int B>
-void SeparatorRows(const typename BlockCholesky<B>::Front& front, const FrontScratch& scratch, std::vector<int>& rows) {
+void SeparatorRows(const Front<B>& front, const FrontScratch& scratch, std::vector<int>& rows) {
   rows.clear();
   for (const int v : front.separators) rows.push_back(scratch.row_of[At(v)]);
 }
 
 // Enters the rows of a front's variables.
 template <int B>
-void SetRows(const typename BlockCholesky<B>::Front& front, int variables, FrontScratch& scratch) {
+void SetRows(const Front<B>& front, int variables, FrontScratch& scratch) {
   scratch.row_of.resize(At(variables));
-  int row = 0;
-  for (const int v : front.pivots) scratch.row_of[At(v)] = std::exchange(row, row + B);
-  for (const int v : front.separators) scratch.row_of[At(v)] = std::exchange(row, row + B);
+  front.ForEachRow([&](int v, int row) { scratch.row_of[At(v)] = row; });
 }
 
 // Sigma (n x n, n = p + s) of [P; S]. `parent` is the parent's, with leading dimension ldp; none for a root. If
 // diagonal_only, only the diagonal blocks of the pivots are meaningful.
 template <int B>
-void ComputeFrontCovariance(const typename BlockCholesky<B>::Front& front, const double* parent, int ldp,
+void ComputeFrontCovariance(const Front<B>& front, const double* parent, int ldp,
                             const std::vector<int>& rows_in_parent, bool diagonal_only, double* Sigma,
                             FrontScratch& scratch);
 
 // Flops of ComputeFrontCovariance.
 template <int B>
-double RecursionFlops(const typename BlockCholesky<B>::Front& front) {
+double RecursionFlops(const Front<B>& front) {
   const double p = front.Columns(), s = front.Rows() - 1 - p;
   return 2 * p * p * p / 3 + 2 * s * p * p + 2 * s * s * p;
 }
@@ -50,7 +48,7 @@ double RecursionFlops(const typename BlockCholesky<B>::Front& front) {
 template <int B>
 double AllRecursionFlops(const BlockCholesky<B>& factor) {
   double flops = 0;
-  ForEachFront(factor, [&](int, const auto& front) { flops += RecursionFlops<B>(front); });
+  factor.Tree().ForEach([&](int, const auto& front) { flops += RecursionFlops<B>(front); });
   return flops;
 }
 

@@ -3,26 +3,12 @@
 #include <Eigen/Cholesky>
 #include <cmath>
 
-#include "factor_paths.h"
+#include "terse/core/front_paths.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/random.h"
 
 namespace terse::internal {
 namespace {
-
-// X = H^-1 X for dense right-hand sides; the rows of variable v from B v on.
-template <int B>
-void SolveDense(const BlockCholesky<B>& factor, std::vector<double>& X, int stride) {
-  std::vector<int>& row_of = RowScratch(factor.Variables());
-  for (int v = 0; v < factor.Variables(); ++v) row_of[At(v)] = B * v;
-  std::vector<double> scratch;
-  std::vector<const typename BlockCholesky<B>::Front*> fronts;
-  ForEachFront(factor, [&](int, const auto& front) { fronts.push_back(&front); });
-  for (auto front = fronts.rbegin(); front != fronts.rend(); ++front) {
-    ForwardFront<B>(**front, 0, row_of, X.data(), stride, scratch);
-  }
-  for (const auto* front : fronts) BackwardFront<B>(*front, 0, false, row_of, X.data(), stride, scratch);
-}
 
 template <int B>
 using Rows = Eigen::Matrix<double, B, Eigen::Dynamic, Eigen::RowMajor>;
@@ -88,7 +74,7 @@ std::vector<std::vector<BlockSquares>> DrawResiduals(const std::vector<ProbeTerm
     RowsOf<B>(X, t.first, stride) -= linear.A_first.transpose() * noise;
     RowsOf<B>(X, t.second, stride) -= linear.A_second.transpose() * noise;
   }
-  SolveDense<B>(factor, X, stride);
+  SolveDense<B>(factor.Tree(), X, stride);
   Random again(seed);
   std::vector<std::vector<BlockSquares>> out(terms.size(), std::vector<BlockSquares>(At(draws)));
   for (std::size_t k = 0; k < terms.size(); ++k) {

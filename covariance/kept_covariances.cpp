@@ -53,7 +53,7 @@ struct TreeCosts {
 template <int B>
 TreeCosts CostsOf(const BlockCholesky<B>& factor) {
   TreeCosts costs;
-  ForEachFront(factor, [&](int, const auto& front) {
+  factor.Tree().ForEach([&](int, const auto& front) {
     const double p = front.Columns(), rows = front.Rows() - 1;
     costs.recursion += RecursionFlops<B>(front);
     costs.entries += p * (rows - p / 2);
@@ -167,7 +167,7 @@ bool KeptCovariances<B>::Downdate(const Plan& plan, CovarianceReport& report) {
     if (f.second >= 0) E.push_back({f.second, column, f.A_second.transpose()});
   }
   if (plan.solve_column) E.push_back({last, k, Matrix<B, B>::Identity()});
-  SolveAll(*factor_, E, X_, stride);
+  SolveAll(factor_->Tree(), E, X_, stride);
   const auto Y = [&](int v) { return RowsOf<B>(X_, v, k, stride); };
   if (plan.solve_column) {
     if (column_.size() < At(n) * B * kStride) column_.resize(At(n) * B * kStride * 2, 0.0);

@@ -19,7 +19,7 @@ constexpr size_t kMany = 16;
 
 // Of forward substitution through one front.
 template <int B>
-double SolveFlops(const typename BlockCholesky<B>::Front& front) {
+double SolveFlops(const internal::Front<B>& front) {
   const double p = front.Columns(), rows = front.Rows() - 1;
   return 2 * B * p * (rows - p / 2);
 }
@@ -30,11 +30,18 @@ double SolveFlops(const typename BlockCholesky<B>::Front& front) {
 template <int B>
 const typename SelectedInverse<B>::Known& SelectedInverse<B>::Look(int front, Query& query) const {
   std::vector<int> path;
-  int f = front;
-  for (; f >= 0 && query.known.count(f) == 0; f = factor_->FrontAt(f).parent) path.push_back(f);
-  Known above = f >= 0 ? query.known[f] : Known();
+  Known above;
+  factor_->Tree().Climb(front, [&](int f) {
+    const auto known = query.known.find(f);
+    if (known == query.known.end()) {
+      path.push_back(f);
+      return true;
+    }
+    above = known->second;
+    return false;
+  });
   for (auto it = path.rbegin(); it != path.rend(); ++it) {
-    const auto& at = factor_->FrontAt(*it);
+    const auto& at = factor_->Tree()[*it];
     const auto cached = cache_.find(*it);
     above.stamp = std::max(above.stamp, at.stamp);
     above.solve_flops += SolveFlops<B>(at);
@@ -50,21 +57,22 @@ template <int B>
 typename SelectedInverse<B>::BlockPointer SelectedInverse<B>::Front(int id, Query& query) const {
   std::vector<int> path;
   BlockPointer block;
-  for (int f = id; f >= 0; f = factor_->FrontAt(f).parent) {
+  factor_->Tree().Climb(id, [&](int f) {
     const auto cached = cache_.find(f);
     if (cached != cache_.end() && cached->second->stamp >= Look(f, query).stamp) {
       block = cached->second;
       block->used = queries_;
-      break;
+      return false;
     }
     path.push_back(f);
-  }
+    return true;
+  });
   std::vector<int> rows;
   for (auto it = path.rbegin(); it != path.rend(); ++it) {
-    const auto& front = factor_->FrontAt(*it);
+    const auto& front = factor_->Tree()[*it];
     const BlockPointer parent = block;
     if (parent) {
-      internal::SetRows<B>(factor_->FrontAt(front.parent), factor_->Variables(), scratch_->front);
+      internal::SetRows<B>(factor_->Tree()[front.parent], factor_->Variables(), scratch_->front);
       internal::SeparatorRows<B>(front, scratch_->front, rows);
     }
     block = std::make_shared<Block>();
@@ -112,7 +120,7 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
   Query query;
   if (method == DiagonalMethod::kCheapest && (variables.size() > 1 || !cache_.empty())) {
     double solve = 0;
-    for (const int v : variables) solve += kSolveFlop * Look(factor_->FrontOf(v), query).solve_flops;
+    for (const int v : variables) solve += kSolveFlop * Look(factor_->Tree().FrontOf(v), query).solve_flops;
     if (variables.size() > kMany) {
       // One pass over everything beats the same paths again and again.
       const double all = internal::AllRecursionFlops(*factor_);
@@ -130,9 +138,9 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
       out.push_back(JointCovariance(*factor_, {v}));
       continue;
     }
-    const int id = factor_->FrontOf(v);
+    const int id = factor_->Tree().FrontOf(v);
     const BlockPointer block = Front(id, query);
-    const Eigen::Index at = PivotRow<B>(factor_->FrontAt(id), v);
+    const Eigen::Index at = PivotRow<B>(factor_->Tree()[id], v);
     out.push_back(Eigen::Map<const MatrixX>(block->covariance.data(), block->n, block->n).template block<B, B>(at, at));
     Evict();
   }

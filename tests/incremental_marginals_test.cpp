@@ -7,6 +7,7 @@
 #include <set>
 #include <thread>
 
+#include "terse/core/front_tree.h"
 #include "testing_incremental.h"
 
 namespace terse {
@@ -321,7 +322,7 @@ TYPED_TEST(IncrementalMarginalsTest, SeveralComponents) {
         if (this->HasFatalFailure()) return;
       }
     }
-    EXPECT_GT(solver.Factor().Roots().size(), 1u);
+    EXPECT_GT(solver.Factor().Tree().Roots().size(), 1u);
   }
 }
 

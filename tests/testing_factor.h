@@ -3,7 +3,7 @@
 
 #include <gtest/gtest.h>
 
-#include "terse/core/block_cholesky.h"
+#include "terse/core/front_tree.h"
 #include "testing.h"
 
 namespace terse::testing {
@@ -54,22 +54,22 @@ void ExpectEqualsDense(BlockCholesky<B>& factor, const Mirror<B>& mirror, double
 template <int B>
 void ExpectSoundTree(const BlockCholesky<B>& factor) {
   std::vector<int> seen(static_cast<std::size_t>(factor.Variables()), 0);
-  std::vector<int> stack = factor.Roots();
+  std::vector<int> stack = factor.Tree().Roots();
   while (!stack.empty()) {
     const int id = stack.back();
     stack.pop_back();
-    const auto& front = factor.FrontAt(id);
+    const auto& front = factor.Tree()[id];
     for (const int v : front.pivots) {
       ++seen[static_cast<std::size_t>(v)];
-      ASSERT_EQ(factor.FrontOf(v), id);
+      ASSERT_EQ(factor.Tree().FrontOf(v), id);
     }
     for (const int v : front.separators) {
       int up = front.parent;
-      while (up >= 0 && up != factor.FrontOf(v)) up = factor.FrontAt(up).parent;
+      while (up >= 0 && up != factor.Tree().FrontOf(v)) up = factor.Tree()[up].parent;
       ASSERT_GE(up, 0) << "separator " << v << " is not eliminated above its front";
     }
     for (const int child : front.children) {
-      ASSERT_EQ(factor.FrontAt(child).parent, id);
+      ASSERT_EQ(factor.Tree()[child].parent, id);
       stack.push_back(child);
     }
   }

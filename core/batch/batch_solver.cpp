@@ -177,7 +177,7 @@ class Run {
     UpdateGauge();
     // The factor that is handed out is the undamped one at the final values.
     if (!factored_here_) factored_here_ = RefactorAt(0);
-    result_.gradient_norm = LargestEntry(result_.factor.Gradient());
+    result_.gradient_norm = LargestEntry(result_.factor.System().Gradient());
     if (!factored_here_) {
       // Another order may round better; or it says what is free.
       Log(options_.log, LogLevel::kInfo, "batch: not positive definite at the optimum, the factor is ordered anew");
@@ -199,7 +199,7 @@ class Run {
     ScopedTimer timer(result_.seconds.factor);
     damping_.clear();
     if (lambda > 0) {
-      damping_ = result_.factor.Diagonal();
+      damping_ = result_.factor.System().Diagonal();
       for (double& x : damping_) x = lambda * std::max(x, 1e-12);
     }
     return result_.factor.Refactor(damping_);

@@ -180,7 +180,7 @@ class Comparison {
       factor_.SetFactors(problem_.LinearizeTerms(start.values));
     }
     if (lambda > 0) {
-      damping_ = factor_.Diagonal();
+      damping_ = factor_.System().Diagonal();
       for (double& x : damping_) x = lambda * std::max(x, 1e-12);
     }
     return factor_.Refactor(damping_);

@@ -1,144 +1,180 @@
 #include "terse/core/block_cholesky.h"
 
-#include <algorithm>
+#include <limits>
 #include <stdexcept>
-#include <unordered_set>
 
-#include "support/parallel.h"
+#include "cholesky/back_substitution.h"
+#include "cholesky/rank_update.h"
+#include "cholesky/region.h"
 #include "support/version.h"
-#include "terse/core/dense_kernels.h"
+#include "terse/core/state_members.h"
 
 namespace terse {
-namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
-
-constexpr size_t kChunk = 256;  // factors or variables that a thread takes at a time
-
-}  // namespace
 
 std::uint64_t internal::Identity::Next() { return NextVersion(); }
 
 template <int B>
+struct BlockCholesky<B>::Parts {
+  internal::FrontTree<B> tree;
+  internal::FrontFactorization<B> numbers;
+  internal::Region<B> region;
+  internal::RankUpdate<B> rank_update;
+  internal::BackSubstitution<B> substitution;
+};
+
+template <int B>
+BlockCholesky<B>::BlockCholesky() : parts_(std::make_unique<Parts>()) {}
+
+template <int B>
+BlockCholesky<B>::~BlockCholesky() = default;
+
+template <int B>
+BlockCholesky<B>::BlockCholesky(const BlockCholesky& other)
+    : system_(other.system_),
+      parts_(std::make_unique<Parts>(*other.parts_)),
+      solution_(other.solution_),
+      last_solve_(other.last_solve_),
+      method_(other.method_),
+      version_(other.version_),
+      next_version_(other.next_version_) {}
+
+template <int B>
+BlockCholesky<B>::BlockCholesky(BlockCholesky&& other) : BlockCholesky() {
+  Swap(other);
+}
+
+template <int B>
+BlockCholesky<B>& BlockCholesky<B>::operator=(const BlockCholesky& other) {
+  if (this == &other) return *this;
+  BlockCholesky copy(other);
+  Swap(copy);
+  return *this;
+}
+
+template <int B>
+BlockCholesky<B>& BlockCholesky<B>::operator=(BlockCholesky&& other) {
+  if (this == &other) return *this;
+  BlockCholesky moved(std::move(other));
+  Swap(moved);
+  return *this;
+}
+
+// Identities are new on both sides.
+template <int B>
+void BlockCholesky<B>::Swap(BlockCholesky& other) noexcept {
+  std::swap(system_, other.system_);
+  parts_.swap(other.parts_);
+  solution_.swap(other.solution_);
+  std::swap(last_solve_, other.last_solve_);
+  std::swap(method_, other.method_);
+  identity_ = std::move(other.identity_);
+  std::swap(version_, other.version_);
+  std::swap(next_version_, other.next_version_);
+}
+
+template <int B>
 void BlockCholesky<B>::SetThreads(int threads) {
   if (threads < 1) throw std::invalid_argument("at least one thread is needed");
-  threads_ = threads;
+  parts_->numbers.SetThreads(threads);
 }
 
 template <int B>
 void BlockCholesky<B>::SetFactors(const std::vector<LinearFactor<B>>& factors) {
-  if (factors.size() > factors_.size()) throw std::invalid_argument("no such factor slot");
-  for (size_t k = 0; k < factors.size(); ++k) {
-    if (factors_[k].first != factors[k].first || factors_[k].second != factors[k].second) {
-      throw std::invalid_argument("a factor may not change its variables");
-    }
-  }
-  internal::SpreadChunks(threads_, factors.size(), kChunk, [&](size_t begin, size_t end) {
-    for (size_t k = begin; k < end; ++k) SetSlot(static_cast<int>(k), factors[k]);
-  });
-  internal::SpreadChunks(threads_, front_of_.size(), kChunk, [&](size_t begin, size_t end) {
-    for (size_t v = begin; v < end; ++v) {
-      if (hubs_.count(static_cast<int>(v)) == 0) RecountDiagonal(static_cast<int>(v));
-    }
-  });
-  for (const auto& hub : hubs_) RecountDiagonal(hub.first);
+  system_.SetFactors(factors, parts_->numbers.Threads());
 }
 
 template <int B>
 bool BlockCholesky<B>::Refactor(const std::vector<double>& damping) {
   version_ = internal::NextVersion();
-  history_.clear();
-  const std::vector<int> order = TopDown();
-  position_.resize(fronts_.size(), 0);
-  std::vector<Front*> fronts;
+  system_.ForgetChanges();
+  internal::FrontTree<B>& tree = parts_->tree;
+  const std::vector<int> order = tree.TopDown();
+  std::vector<int> place_of(At(tree.Size()), 0);
+  std::vector<internal::Front<B>*> fronts;
   std::vector<int> parents(order.size(), -1);
   for (auto it = order.rbegin(); it != order.rend(); ++it) {
-    position_[At(*it)] = static_cast<int>(fronts.size());
-    fronts.push_back(&fronts_[At(*it)]);
+    place_of[At(*it)] = static_cast<int>(fronts.size());
+    fronts.push_back(&tree[*it]);
   }
   for (size_t k = 0; k < fronts.size(); ++k) {
-    if (fronts[k]->parent >= 0) parents[k] = position_[At(fronts[k]->parent)];
+    if (fronts[k]->parent >= 0) parents[k] = place_of[At(fronts[k]->parent)];
   }
   double flops = 0;
-  if (FactorFronts(fronts, parents, {}, damping, flops) >= 0) return false;
-  log_det_ = y2_ = 0;
-  for (const int f : order) {
-    fronts_[At(f)].fresh = true;
-    fronts_[At(f)].stamp = version_;
-    log_det_ += fronts_[At(f)].log_det;
-    y2_ += fronts_[At(f)].y2;
-  }
+  if (parts_->numbers.FactorAll(fronts, parents, {}, system_, tree, damping, flops) >= 0) return false;
+  tree.NoteRefactored(order, version_);
   return true;
 }
 
-// Fronts with parents before children.
 template <int B>
-std::vector<int> BlockCholesky<B>::TopDown() const {
-  std::vector<int> order(roots_);
-  for (size_t k = 0; k < order.size(); ++k) {
-    const auto& children = fronts_[At(order[k])].children;
-    order.insert(order.end(), children.begin(), children.end());
+void BlockCholesky<B>::Resize(int variables) {
+  parts_->tree.Resize(variables);
+  parts_->numbers.Resize(variables);
+  solution_.resize(At(variables) * B, 0.0);
+}
+
+// The cheapest way that the method allows. Returns the variable at which the matrix was found not to be positive
+// definite, or -1.
+template <int B>
+int BlockCholesky<B>::BringIn(const typename BlockSystem<B>::Undo& undo, UpdateReport& report) {
+  auto& [tree, numbers, region, rank_update, substitution] = *parts_;
+  internal::UpdateContext<B> update{system_, undo, tree, numbers, next_version_, report};
+  if (!region.TakeAllIfDrifted(update)) {
+    if (method_ != Method::kRefactor && CanAppend(update)) return Append(update);
+    region.TakeAffected(update);
+    typename internal::RankUpdate<B>::Path path;
+    if (method_ != Method::kRefactor && rank_update.Plan(update, region.Fronts(), path) &&
+        (method_ == Method::kRankUpdateWherePossible || rank_update.IsCheaper(tree, path))) {
+      return rank_update.Update(path, update);
+    }
   }
-  return order;
+  const int failed = region.Refactor(update);
+  if (failed < 0) rank_update.SetDebt(0);
+  return failed;
+}
+
+template <int B>
+typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& changes) {
+  system_.Check(changes);
+  UpdateReport report;
+  next_version_ = internal::NextVersion();
+  typename BlockSystem<B>::Undo undo;
+  undo.variables = Variables();
+  const auto take_back = [&] {
+    parts_->region.Clear();
+    system_.Revert(undo);
+    Resize(undo.variables);
+    report.added_slots.clear();
+  };
+  try {
+    system_.Apply(changes, undo);
+    Resize(Variables());
+    report.added_slots = undo.added;
+    report.failed_variable = BringIn(undo, report);
+  } catch (...) {
+    take_back();
+    throw;
+  }
+  if (report.failed_variable >= 0) {
+    take_back();
+    return report;
+  }
+  parts_->region.Clear();
+  report.ok = true;
+  if (report.fronts == 0 && report.fronts_updated == 0) {
+    report.path = FactorPath::kNone;
+    return report;
+  }
+  system_.Commit(undo, version_);
+  version_ = next_version_;
+  return report;
 }
 
 template <int B>
 std::vector<int> BlockCholesky<B>::Solve(double threshold, std::optional<Clock::time_point> deadline) {
-  moved_.resize(front_of_.size(), 0.0);
-  last_solve_ = {};
-  std::vector<int> changed;
-  using Entry = std::pair<double, int>;  // what moved most among the separators, front
-  std::vector<Entry> stack;
-  for (auto it = waiting_.rbegin(); it != waiting_.rend(); ++it) stack.emplace_back(0.0, *it);
-  for (const int f : roots_) stack.emplace_back(0.0, f);
-  waiting_.clear();
-  std::vector<double> x;
-  while (!stack.empty()) {
-    if (deadline && last_solve_.flops > 0) {
-      if (Clock::now() > *deadline) break;
-      std::iter_swap(std::max_element(stack.begin(), stack.end()), stack.end() - 1);
-    }
-    const double above = stack.back().first;
-    Front& front = fronts_[At(stack.back().second)];
-    stack.pop_back();
-    // Nothing changed here; a front that was refactored below has refactored ancestors, or waits itself.
-    if (!front.fresh && above == 0) continue;
-    if (front.pivots.empty()) continue;  // waited and is no more
-    front.fresh = false;
-    const int rows = front.Rows(), p = front.Columns();
-    x.resize(At(rows));
-    double* separators = x.data() + p;
-    for (const int v : front.separators) separators = std::copy_n(solution_.data() + At(v) * B, B, separators);
-    internal::Kernels().back_substitute(front.panel.data(), rows, p, x.data());
-    last_solve_.flops += 2.0 * rows * p - 1.0 * p * p;
-    for (size_t k = 0; k < front.pivots.size(); ++k) {
-      const int v = front.pivots[k];
-      Eigen::Map<Vector<B>> old(solution_.data() + At(v) * B);
-      const Eigen::Map<const Vector<B>> value(x.data() + k * B);
-      const double change = (value - old).cwiseAbs2().dot(diagonal_[At(v)]);
-      if (change <= threshold) continue;
-      old = value;
-      moved_[At(v)] = change;
-      changed.push_back(v);
-    }
-    for (const int child : front.children) {
-      double largest = 0;
-      for (const int v : fronts_[At(child)].separators) largest = std::max(largest, moved_[At(v)]);
-      if (largest > 0 || fronts_[At(child)].fresh) stack.emplace_back(largest, child);
-    }
-  }
-  // Each once, or what is visited again would make its children wait once more, and so on.
-  std::unordered_set<int> seen;
-  for (const Entry& entry : stack) {
-    Front& front = fronts_[At(entry.second)];
-    if ((!front.fresh && entry.first == 0) || front.pivots.empty() || !seen.insert(entry.second).second) continue;
-    front.fresh = true;
-    waiting_.push_back(entry.second);
-  }
-  last_solve_.deferred = static_cast<int>(waiting_.size());
-  for (const int v : changed) moved_[At(v)] = 0;
-  return changed;
+  return parts_->substitution.Solve(parts_->tree, system_, threshold, deadline, solution_, last_solve_);
 }
 
 template <int B>
@@ -147,38 +183,67 @@ void BlockCholesky<B>::SetSolution(int variable, const Vector<B>& d) {
 }
 
 template <int B>
-std::vector<double> BlockCholesky<B>::Gradient() const {
-  std::vector<double> b(front_of_.size() * B, 0.0);
-  const auto add = [&](int v, const Matrix<B, B>& A, const Vector<B>& r) {
-    Eigen::Map<Vector<B>>(b.data() + At(v) * B) -= A.transpose() * r;
-  };
-  for (const auto& f : factors_) {
-    if (f.first < 0) continue;
-    add(f.first, f.A_first, f.residual);
-    if (f.second >= 0) add(f.second, f.A_second, f.residual);
-  }
-  return b;
+double BlockCholesky<B>::LogDeterminant() const {
+  return parts_->tree.LogDeterminant();
 }
 
 template <int B>
-std::vector<double> BlockCholesky<B>::Diagonal() const {
-  std::vector<double> d;
-  d.reserve(diagonal_.size() * B);
-  for (const Vector<B>& v : diagonal_) d.insert(d.end(), v.data(), v.data() + B);
-  return d;
+double BlockCholesky<B>::NewtonDecrement() const {
+  return parts_->tree.SquaredY();
 }
 
 template <int B>
-std::int64_t BlockCholesky<B>::FactorNonzeros() const {
-  std::int64_t sum = 0;
-  for (const auto& front : fronts_) {
-    const std::int64_t p = front.Columns(), rows = front.pivots.empty() ? 0 : front.Rows() - 1;
-    sum += p * rows - p * (p - 1) / 2;
-  }
-  return sum;
+std::int64_t BlockCholesky<B>::Nonzeros() const {
+  return parts_->tree.Nonzeros();
 }
 
-template class BlockCholesky<3>;
-template class BlockCholesky<6>;
+template <int B>
+const internal::FrontTree<B>& BlockCholesky<B>::Tree() const {
+  return parts_->tree;
+}
+
+// Nobody has covariances of a version of before: the version is drawn anew, and the identity is that of a new object.
+template <int B>
+template <class Archive>
+void BlockCholesky<B>::Serialize(Archive& archive) {
+  auto& [system, parts, solution, last_solve, method, identity, version, next_version] = *this;
+  auto& [tree, numbers, region, rank_update, substitution] = *parts;
+  int threads = numbers.Threads(), drift_looked_at = region.DriftLookedAt();
+  double debt = rank_update.Debt();
+  archive(system);
+  tree.SerializeShape(archive);
+  archive(solution, last_solve.flops, last_solve.deferred, method, threads, drift_looked_at, debt);
+  const size_t n = At(tree.Variables());
+  if constexpr (Archive::kReads) {
+    if (n > At(std::numeric_limits<int>::max() / B - 1)) archive.Fail("too many variables");
+    if (threads < 1) archive.Fail("a factor without a thread");
+    if (drift_looked_at < 0 || At(drift_looked_at) > n) archive.Fail("the factor was larger once");
+    version = next_version = internal::NextVersion();
+  }
+  tree.SerializeFronts(archive, version);
+  if constexpr (Archive::kReads) {
+    std::string defect = solution.size() == n * B ? tree.FindDefect() : "the parts of the factor have different sizes";
+    if (defect.empty()) defect = system.FindDefect(n);
+    if (defect.empty()) defect = tree.FindSlotDefect(system);
+    if (!defect.empty()) archive.Fail(defect);
+    system.Rebuild(n);
+    numbers = {};
+    numbers.SetThreads(threads);
+    numbers.Resize(static_cast<int>(n));
+    region = {};
+    region.SetDriftLookedAt(drift_looked_at);
+    rank_update = {};
+    rank_update.SetDebt(debt);
+    substitution = {};
+  }
+}
+
+#define TERSE_INSTANTIATE(B)                               \
+  template class BlockCholesky<B>;                         \
+  template void BlockCholesky<B>::Serialize(StateWriter&); \
+  template void BlockCholesky<B>::Serialize(StateReader&);
+TERSE_INSTANTIATE(3)
+TERSE_INSTANTIATE(6)
+#undef TERSE_INSTANTIATE
 
 }  // namespace terse

@@ -5,9 +5,9 @@
 #include <set>
 #include <stdexcept>
 
-#include "cholesky/path_solve.h"
 #include "incremental/update_plan.h"
 #include "support/stopwatch.h"
+#include "terse/core/front_paths.h"
 #include "terse/core/residual.h"
 #include "terse/core/state_members.h"
 
@@ -15,7 +15,6 @@ namespace terse::internal {
 namespace {
 
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 constexpr size_t At(FactorId id) { return static_cast<size_t>(id.value); }
 
 // |A d + r|^2 at the present d; 0 for variables beyond it.
@@ -23,17 +22,12 @@ template <int B>
 double LinearCost(const LinearFactor<B>& f, const std::vector<double>& d) {
   Vector<B> e = f.residual;
   const auto add = [&](int v, const Matrix<B, B>& A) {
-    if (v >= 0 && (At(v) + 1) * B <= d.size()) e += A * Eigen::Map<const Vector<B>>(d.data() + At(v) * B);
+    if (v >= 0 && (static_cast<size_t>(v) + 1) * B <= d.size())
+      e += A * Eigen::Map<const Vector<B>>(d.data() + static_cast<size_t>(v) * B);
   };
   add(f.first, f.A_first);
   add(f.second, f.A_second);
   return e.squaredNorm();
-}
-
-template <class Front>
-double Entries(const Front& front) {
-  const double p = front.Columns(), rows = front.Rows() - 1;
-  return p * rows - p * (p - 1) / 2;
 }
 
 }  // namespace
@@ -299,9 +293,13 @@ typename LinearizedGraph<Pose>::Steps LinearizedGraph<Pose>::TakeStep(const std:
     solved = cholesky_.Solve(threshold);
     report.solve_flops += cholesky_.LastSolve().flops;
   } else {
-    const std::vector<int> fronts = AncestorClosure(cholesky_, *scope);
-    solved = SolveOn(cholesky_, fronts);
-    for (const int f : fronts) report.solve_flops += 2 * Entries(cholesky_.FrontAt(f));
+    FrontPaths<B> paths(cholesky_.Tree());
+    for (const int v : *scope) paths.Add(v);
+    SolveOn(paths, cholesky_.Solution(), [&](int v, const Vector<B>& d) {
+      cholesky_.SetSolution(v, d);
+      solved.push_back(v);
+    });
+    for (int k = 0; k < paths.Size(); ++k) report.solve_flops += 2 * paths[k].Entries();
   }
   Steps steps;
   for (const int v : scope == nullptr ? solved : *scope) steps.emplace(v, OffsetOf(v));

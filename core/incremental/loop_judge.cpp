@@ -5,8 +5,8 @@
 #include <limits>
 #include <stdexcept>
 
-#include "cholesky/path_solve.h"
 #include "incremental/loop_contest.h"
+#include "terse/core/front_paths.h"
 #include "terse/core/log_message.h"
 #include "terse/core/residual.h"
 #include "terse/core/state_members.h"
@@ -32,7 +32,7 @@ struct LoopJudge<Pose>::Loop {
   LinearFactor<B> linear;  // at the linearisation points
   Vector<B> residual;      // at the estimate
   double weight = 1;       // that it is to have
-  Columns<B> z;
+  PathColumns<B> z;
 
   Loop(FactorId loop_id, const LinearizedGraph<Pose>& map) : id(loop_id), slot(map.SlotOf(loop_id)) {
     const auto& factor = map.Graph().FindFactor(id)->factor;
@@ -68,7 +68,7 @@ double LoopJudge<Pose>::WeightOnArrival(Loop& loop, const Map& map) const {
   const RobustKernel kernel = options_.kernel;
   double weight = RobustWeight(kernel, loop.residual.squaredNorm(), width_);
   if (weight == 1) return weight;
-  loop.z = SolveForward(map.Cholesky(), loop.linear);
+  loop.z = SolveForward(map.Cholesky().Tree(), loop.linear);
   const Matrix<B, B> P = Gram<B>(loop.z, loop.z), I = Matrix<B, B>::Identity();
   weight = RobustWeight(kernel, loop.residual.dot((I + P).llt().solve(loop.residual)), width_);
   for (int k = 0; k < 20; ++k) {
@@ -199,7 +199,7 @@ template <class Pose>
 void LoopJudge<Pose>::AddContestants(Loops& contest, const Map& map) const {
   const Loop& loop = contest[0];
   const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(loop.z, loop.z);
-  const std::vector<double> x = SolveBackward<B>(map.Cholesky(), loop.z, S.llt().solve(loop.residual));
+  const std::vector<double> x = SolveBackward<B>(map.Cholesky().Tree(), loop.z, S.llt().solve(loop.residual));
   const auto moved = [&](const LinearFactor<B>& f) -> Vector<B> {
     return f.A_first * Eigen::Map<const Vector<B>>(x.data() + static_cast<size_t>(f.first) * B) +
            f.A_second * Eigen::Map<const Vector<B>>(x.data() + static_cast<size_t>(f.second) * B);
@@ -235,7 +235,7 @@ bool LoopJudge<Pose>::Judge(Loops& loops, StepContext<Pose>& step) {
   std::vector<char> chosen(loops.size());
   for (Eigen::Index i = 0; i < n; ++i) {
     Loop& loop = loops[static_cast<size_t>(i)];
-    if (loop.z.empty()) loop.z = SolveForward(step.map.Cholesky(), loop.linear);
+    if (loop.z.empty()) loop.z = SolveForward(step.map.Cholesky().Tree(), loop.linear);
     chosen[static_cast<size_t>(i)] = loop.slot >= 0;
     in.segment<B>(i * B).setConstant(loop.slot >= 0 ? 1 : 0);
     r.segment<B>(i * B) = loop.slot >= 0 ? step.map.LinearResidual(loop.slot) : loop.residual;

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "support/stopwatch.h"
+#include "terse/core/front_paths.h"
 #include "terse/core/log_message.h"
 #include "terse/core/residual.h"
 #include "terse/core/state_members.h"
@@ -41,20 +42,12 @@ bool IsOutgrown(int variable, const LinearizedGraph<Pose>& map, const Incrementa
          d.template tail<Pose::kDof - Pose::kDim>().norm() > options.relinearize_radians;
 }
 
-// Of refactoring the fronts from the variable to the root that are not in `fronts` yet.
+// What refactoring the fronts from the variable to the root takes that are not in `taken` yet.
 template <int B>
-double PathFlops(const BlockCholesky<B>& cholesky, int variable, const std::unordered_set<int>& fronts) {
+double PathFlops(const FrontPaths<B>& taken, int variable) {
   double flops = 0;
-  for (int f = cholesky.FrontOf(variable); f >= 0 && fronts.count(f) == 0; f = cholesky.FrontAt(f).parent) {
-    const double rows = cholesky.FrontAt(f).Rows(), s = rows - cholesky.FrontAt(f).Columns();
-    flops += (std::pow(rows, 3) - std::pow(s, 3)) / 3;
-  }
+  taken.ForEachMissing(variable, [&](const Front<B>& front) { flops += front.RefactorFlops(); });
   return flops;
-}
-
-template <int B>
-void TakePath(const BlockCholesky<B>& cholesky, int variable, std::unordered_set<int>& fronts) {
-  for (int f = cholesky.FrontOf(variable); f >= 0 && fronts.insert(f).second;) f = cholesky.FrontAt(f).parent;
 }
 
 template <int B>
@@ -95,7 +88,7 @@ double Relinearization<Pose>::PossibleError(int variable, const Map& map) const 
   constexpr int R = B - Pose::kDim;
   const auto d = map.OffsetOf(variable);
   return d.template tail<R>().squaredNorm() *
-         (d - poses_[static_cast<size_t>(variable)].seen).cwiseAbs2().dot(map.Cholesky().DiagonalOf(variable));
+         (d - poses_[static_cast<size_t>(variable)].seen).cwiseAbs2().dot(map.Cholesky().System().DiagonalOf(variable));
 }
 
 template <class Pose>
@@ -191,14 +184,14 @@ std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, Deadline de
   SortSuspects(Suspicious(map, options));
   double left = error_sum_;
   std::vector<int> added;
-  std::unordered_set<int> fronts;
+  FrontPaths<B> paths(cholesky.Tree());
   const double affordable = deadline ? AffordableFlops(*deadline) : std::numeric_limits<double>::infinity();
   double flops = 0;
   report.deferred_relinearisations = 0;
   const auto add = [&](int v) {
     if (v < 0 || !IsOutgrown(v, map, options) || points.count(v) != 0) return;
     if (deadline) {
-      const double more = PathFlops(cholesky, v, fronts);
+      const double more = PathFlops(paths, v);
       // A step that brings nothing gets on whatever the budget: what never fits would wait for ever.
       // But not from an estimate that back-substitution has half done.
       const bool must = points.empty() && report.path == FactorPath::kNone && cholesky.LastSolve().deferred == 0;
@@ -207,7 +200,7 @@ std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, Deadline de
         return;
       }
       flops += more;
-      TakePath(cholesky, v, fronts);
+      paths.Add(v);
     }
     points.emplace(v, RememberedEstimate(v, map));
     added.push_back(v);
@@ -298,12 +291,12 @@ bool Relinearization<Pose>::MoveWorst(bool urgently, Deadline deadline, Map& map
     }
   }
   const auto start = Clock::now();
-  std::unordered_set<int> fronts;
   double flops = 0;
   if (deadline) {
+    FrontPaths<B> paths(map.Cholesky().Tree());
     for (const auto& point : points) {
-      flops += PathFlops(map.Cholesky(), point.first, fronts);
-      TakePath(map.Cholesky(), point.first, fronts);
+      flops += PathFlops(paths, point.first);
+      paths.Add(point.first);
     }
   }
   if (!MovePoints(points, replaced, map, options, report)) return false;

@@ -1,46 +1,59 @@
 #pragma once
-// Triangular solves with several right-hand sides on the fronts of a factor. X is row-major with `stride` columns; a
-// variable's rows start at row_of[variable].
+// Paths of fronts up to the root, and substitution with L along them: the only place, beside the factorisation itself,
+// that reads a front's panel row by row.
+//
+// Right-hand sides side by side: X is row-major with `stride` columns; a variable's rows start at row_of[variable].
 
 #include <algorithm>
 #include <limits>
+#include <map>
 #include <vector>
 
-#include "terse/core/block_cholesky.h"
 #include "terse/core/dense_kernels.h"
+#include "terse/core/front_tree.h"
 
 namespace terse::internal {
 
-constexpr std::size_t At(int i) { return static_cast<std::size_t>(i); }
-
-// The fronts from some variables up to their roots, parents before children.
+// The fronts from some variables up to their roots, parents before children: a set that is closed under ancestors.
 template <int B>
-class FactorPaths {
+class FrontPaths {
  public:
-  explicit FactorPaths(const BlockCholesky<B>& factor) : factor_(&factor) {}
-  ~FactorPaths() {
+  explicit FrontPaths(const FrontTree<B>& tree) : tree_(&tree) {}
+  ~FrontPaths() {
     for (const int f : fronts_) Position(f) = -1;
   }
-  FactorPaths(const FactorPaths&) = delete;
-  FactorPaths& operator=(const FactorPaths&) = delete;
+  FrontPaths(const FrontPaths&) = delete;
+  FrontPaths& operator=(const FrontPaths&) = delete;
 
   void Add(int variable) {
     const std::size_t begin = fronts_.size();
-    for (int f = factor_->FrontOf(variable); f >= 0 && Position(f) < 0; f = factor_->FrontAt(f).parent) {
+    tree_->Climb(tree_->FrontOf(variable), [&](int f) {
+      if (Position(f) >= 0) return false;
       fronts_.push_back(f);
       Position(f) = 0;
-    }
+      return true;
+    });
     std::reverse(fronts_.begin() + static_cast<long>(begin), fronts_.end());
     for (std::size_t k = begin; k < fronts_.size(); ++k) Position(fronts_[k]) = static_cast<int>(k);
   }
   int Size() const { return static_cast<int>(fronts_.size()); }
-  const typename BlockCholesky<B>::Front& operator[](int k) const { return factor_->FrontAt(fronts_[At(k)]); }
+  int IdAt(int k) const { return fronts_[At(k)]; }
+  const Front<B>& operator[](int k) const { return (*tree_)[fronts_[At(k)]]; }
   // Where a front, the front of a variable, or the parent of a front, is in the list; -1: it is not.
   int Find(int front) const { return Position(front); }
-  int PositionOf(int variable) const { return Position(factor_->FrontOf(variable)); }
+  int PositionOf(int variable) const { return Position(tree_->FrontOf(variable)); }
   int ParentOf(int k) const {
     const int parent = (*this)[k].parent;
     return parent < 0 ? -1 : Position(parent);
+  }
+  // Calls visit(front) for those that Add would bring in.
+  template <class Visit>
+  void ForEachMissing(int variable, const Visit& visit) const {
+    tree_->Climb(tree_->FrontOf(variable), [&](int f) {
+      if (Position(f) >= 0) return false;
+      visit((*tree_)[f]);
+      return true;
+    });
   }
 
  private:
@@ -50,26 +63,13 @@ class FactorPaths {
     if (positions.size() <= At(front)) positions.resize(At(front) + 1, -1);
     return positions[At(front)];
   }
-  const BlockCholesky<B>* factor_;
+  const FrontTree<B>* tree_;
   std::vector<int> fronts_;
 };
 
-// All fronts, parents before children: visit(id, front).
-template <int B, class Visit>
-void ForEachFront(const BlockCholesky<B>& factor, const Visit& visit) {
-  std::vector<int> stack(factor.Roots());
-  while (!stack.empty()) {
-    const int id = stack.back();
-    stack.pop_back();
-    const auto& front = factor.FrontAt(id);
-    visit(id, front);
-    stack.insert(stack.end(), front.children.begin(), front.children.end());
-  }
-}
-
 // Scalars before a variable's in its front.
 template <int B>
-int PivotRow(const typename BlockCholesky<B>::Front& front, int variable) {
+int PivotRow(const Front<B>& front, int variable) {
   return B * static_cast<int>(std::find(front.pivots.begin(), front.pivots.end(), variable) - front.pivots.begin());
 }
 
@@ -97,13 +97,13 @@ void ScatterRows(const std::vector<int>& variables, const std::vector<int>& row_
 
 // X_P = L_PP^-1 X_P, X_S -= L_SP X_P, where X is zero before row `first` of the front.
 template <int B>
-void ForwardFront(const typename BlockCholesky<B>::Front& front, int first, const std::vector<int>& row_of, double* X,
-                  int stride, std::vector<double>& scratch) {
+void ForwardFront(const Front<B>& front, int first, const std::vector<int>& row_of, double* X, int stride,
+                  std::vector<double>& scratch) {
   const int ld = front.Rows(), rows = ld - 1, p = front.Columns();
   scratch.resize(At(rows) * At(stride));
   GatherRows<B>(front.pivots, row_of, X, stride, scratch.data());
   GatherRows<B>(front.separators, row_of, X, stride, scratch.data() + At(p) * At(stride));
-  Kernels().substitute_forward(front.panel.data() + At(first) * At(ld) + At(first), ld, rows - first, p - first,
+  Kernels().substitute_forward(front.Entry(first, first), ld, rows - first, p - first,
                                scratch.data() + At(first) * At(stride), stride);
   ScatterRows<B>(front.pivots, row_of, scratch.data(), stride, X);
   ScatterRows<B>(front.separators, row_of, scratch.data() + At(p) * At(stride), stride, X);
@@ -111,8 +111,8 @@ void ForwardFront(const typename BlockCholesky<B>::Front& front, int first, cons
 
 // X_P = L_PP^-T (X_P - L_SP' X_S) from row `first` of the front on. If is_zero, X_P is taken for zero.
 template <int B>
-void BackwardFront(const typename BlockCholesky<B>::Front& front, int first, bool is_zero,
-                   const std::vector<int>& row_of, double* X, int stride, std::vector<double>& scratch) {
+void BackwardFront(const Front<B>& front, int first, bool is_zero, const std::vector<int>& row_of, double* X,
+                   int stride, std::vector<double>& scratch) {
   const int ld = front.Rows(), rows = ld - 1, p = front.Columns();
   scratch.resize(At(rows) * At(stride));
   if (is_zero) {
@@ -121,7 +121,7 @@ void BackwardFront(const typename BlockCholesky<B>::Front& front, int first, boo
     GatherRows<B>(front.pivots, row_of, X, stride, scratch.data());
   }
   GatherRows<B>(front.separators, row_of, X, stride, scratch.data() + At(p) * At(stride));
-  Kernels().substitute_backward(front.panel.data() + At(first) * At(ld) + At(first), ld, rows - first, p - first,
+  Kernels().substitute_backward(front.Entry(first, first), ld, rows - first, p - first,
                                 scratch.data() + At(first) * At(stride), stride);
   ScatterRows<B>(front.pivots, row_of, scratch.data(), stride, X);
 }
@@ -130,7 +130,7 @@ void BackwardFront(const typename BlockCholesky<B>::Front& front, int first, boo
 // says that it is not zero at v.
 inline constexpr int kNoRow = std::numeric_limits<int>::max();
 template <int B, class Lower>
-void ForwardPaths(const FactorPaths<B>& paths, std::vector<int>& first, const Lower& lower,
+void ForwardPaths(const FrontPaths<B>& paths, std::vector<int>& first, const Lower& lower,
                   const std::vector<int>& row_of, double* X, int stride, std::vector<double>& scratch) {
   for (int k = paths.Size() - 1; k >= 0; --k) {
     if (first[At(k)] == kNoRow) continue;
@@ -155,13 +155,53 @@ void AddRightHandSide(const RightHandSide<B>& e, const std::vector<int>& row_of,
 // X = H^-1 E for the pivots of the paths of E's variables: E is the sum of the blocks, X has the rows of variable v
 // from B v on. What was in X before does not matter, if it is finite. All must be among the paths.
 template <int B>
-void SolvePaths(const FactorPaths<B>& paths, const std::vector<RightHandSide<B>>& E, int variables,
+void SolvePaths(const FrontPaths<B>& paths, const std::vector<RightHandSide<B>>& E, int variables,
                 std::vector<double>& X, int stride);
 
 // The same for all variables.
 template <int B>
-void SolveAll(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>& E, std::vector<double>& X,
-              int stride);
+void SolveAll(const FrontTree<B>& tree, const std::vector<RightHandSide<B>>& E, std::vector<double>& X, int stride);
+
+// The same for dense right-hand sides: X = H^-1 X.
+template <int B>
+void SolveDense(const FrontTree<B>& tree, std::vector<double>& X, int stride);
+
+// L' d = y on these fronts alone: their share of the full Gauss-Newton step (Arablouei 2026, Eq. 15, which holds for
+// sets that are closed under ancestors). Calls set(variable, d) as it goes; solution: all d, as they are set.
+template <int B, class Set>
+void SolveOn(const FrontPaths<B>& paths, const std::vector<double>& solution, const Set& set) {
+  Eigen::VectorXd x;
+  for (int k = 0; k < paths.Size(); ++k) {
+    const Front<B>& front = paths[k];
+    const auto L = front.Panel();
+    const int rows = front.Rows(), p = front.Columns();
+    x = L.row(rows - 1).transpose();
+    int row = p;
+    for (const int v : front.separators) {
+      const Eigen::Map<const Vector<B>> xs(solution.data() + At(v) * B);
+      x.noalias() -= L.template middleRows<B>(row).transpose() * xs;
+      row += B;
+    }
+    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(x);
+    row = 0;
+    for (const int v : front.pivots) {
+      set(v, Vector<B>(x.segment<B>(row)));
+      row += B;
+    }
+  }
+}
+
+// Z = L^-1 A' of a linear factor, B columns, by front of the paths from its variables to the root; all else is zero.
+template <int B>
+using PathColumns = std::map<int, Eigen::Matrix<double, Eigen::Dynamic, B>>;
+template <int B>
+PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f);
+// a' b.
+template <int B>
+Matrix<B, B> Gram(const PathColumns<B>& a, const PathColumns<B>& b);
+// x with L' x = Z q, of all variables.
+template <int B>
+std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>& Z, const Vector<B>& q);
 
 // By variable, one use at a time in each thread; what is in it is old.
 std::vector<int>& RowScratch(int variables);

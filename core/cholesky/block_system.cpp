@@ -1,23 +1,25 @@
-// Changing the graph, and taking it back if it fails.
+#include "terse/core/block_system.h"
 
 #include <algorithm>
-#include <cmath>
 #include <set>
 #include <stdexcept>
 
-#include "cholesky/block_cholesky_parts.h"
-#include "support/version.h"
+#include "cholesky/undo.h"
+#include "support/parallel.h"
+#include "terse/core/front.h"
+#include "terse/core/state_members.h"
 
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // So many changed slots and updates are remembered.
 constexpr size_t kMostRemembered = 256, kMostSteps = 32;
 // From so many on, removed slots leave a variable's list together.
 constexpr size_t kFewDetached = 16;
+constexpr size_t kChunk = 256;  // linear factors or variables that a thread takes at a time
 
 // Where many of these slots go from a variable's list, they go in one pass: taking all factors of a hub out costs no
 // more than their number.
@@ -45,7 +47,7 @@ void DetachMany(const std::vector<int>& slots, const std::vector<LinearFactor<B>
 }  // namespace
 
 template <int B>
-void BlockCholesky<B>::Attach(int slot) {
+void BlockSystem<B>::Attach(int slot) {
   const LinearFactor<B>& f = factors_[At(slot)];
   for (const int v : {f.first, f.second}) {
     if (v >= 0) AttachTo(v, slot);
@@ -54,7 +56,7 @@ void BlockCholesky<B>::Attach(int slot) {
 
 // Returns whether the slot is the last of the variable's.
 template <int B>
-bool BlockCholesky<B>::AttachTo(int variable, int slot) {
+bool BlockSystem<B>::AttachTo(int variable, int slot) {
   auto& list = slots_of_[At(variable)];
   const bool is_last = list.empty() || list.back() < slot;
   list.insert(is_last ? list.end() : std::lower_bound(list.begin(), list.end(), slot), slot);
@@ -62,7 +64,7 @@ bool BlockCholesky<B>::AttachTo(int variable, int slot) {
 }
 
 template <int B>
-void BlockCholesky<B>::Detach(int slot) {
+void BlockSystem<B>::Detach(int slot) {
   const LinearFactor<B>& f = factors_[At(slot)];
   for (const int v : {f.first, f.second}) {
     if (v < 0) continue;
@@ -74,7 +76,7 @@ void BlockCholesky<B>::Detach(int slot) {
 
 // Keeps what the factor adds to H and b, which every refactorisation of its front needs.
 template <int B>
-void BlockCholesky<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
+void BlockSystem<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
   factors_[At(slot)] = factor;
   Normal& n = normals_[At(slot)];
   n.H_first.noalias() = factor.A_first.transpose() * factor.A_first;
@@ -87,23 +89,23 @@ void BlockCholesky<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
 
 // What a factor adds to the diagonal of one of its variables.
 template <int B>
-Vector<B> BlockCholesky<B>::DiagonalPart(int variable, int slot) const {
+Vector<B> BlockSystem<B>::DiagonalPart(int variable, int slot) const {
   const Normal& n = normals_[At(slot)];
   return (factors_[At(slot)].first == variable ? n.H_first : n.H_second).diagonal();
 }
 
 // From its factors in the order of their slots, so that nothing is left of what has gone. Of a hub, block by block.
 template <int B>
-void BlockCholesky<B>::RecountDiagonal(int variable) {
+void BlockSystem<B>::RecountDiagonal(int variable) {
   const auto& slots = slots_of_[At(variable)];
-  const auto hub = hubs_.find(variable);
-  if (hub == hubs_.end() && slots.size() <= kHub) {
+  const auto hub = hub_sums_.find(variable);
+  if (hub == hub_sums_.end() && slots.size() <= kHub) {
     Vector<B>& sum = diagonal_[At(variable)];
     sum.setZero();
     for (const int slot : slots) sum += DiagonalPart(variable, slot);
     return;
   }
-  std::map<int, Vector<B>>& blocks = hub == hubs_.end() ? hubs_[variable] : hub->second;
+  std::map<int, Vector<B>>& blocks = hub == hub_sums_.end() ? hub_sums_[variable] : hub->second;
   for (auto& block : blocks) block.second.setZero();
   for (const int slot : slots) {
     const auto it = blocks.try_emplace(slot / kSlotBlock, Vector<B>::Zero()).first;
@@ -114,29 +116,29 @@ void BlockCholesky<B>::RecountDiagonal(int variable) {
 
 // A hub's diagonal from its blocks; of what is a hub no more from the slots, as of any other variable.
 template <int B>
-void BlockCholesky<B>::SumDiagonal(int variable) {
+void BlockSystem<B>::SumDiagonal(int variable) {
   const auto& slots = slots_of_[At(variable)];
   Vector<B>& sum = diagonal_[At(variable)];
   sum.setZero();
   if (slots.size() <= kHub) {
     for (const int slot : slots) sum += DiagonalPart(variable, slot);
   } else {
-    for (const auto& block : hubs_.at(variable)) sum += block.second;
+    for (const auto& block : hub_sums_.at(variable)) sum += block.second;
   }
 }
 
 // Of the variables (the first of a pair) with slots in these blocks that have changed. A variable costs the number of
 // its factors up to kHub, a hub no more than a block and the number of its blocks.
 template <int B>
-void BlockCholesky<B>::RecountDiagonals(std::vector<std::pair<int, int>>& changed) {
+void BlockSystem<B>::RecountDiagonals(std::vector<std::pair<int, int>>& changed) {
   std::sort(changed.begin(), changed.end());
   changed.erase(std::unique(changed.begin(), changed.end()), changed.end());
   for (size_t k = 0; k < changed.size();) {
     const int v = changed[k].first;
-    const auto hub = hubs_.find(v);
-    if (hub == hubs_.end()) RecountDiagonal(v);
+    const auto hub = hub_sums_.find(v);
+    if (hub == hub_sums_.end()) RecountDiagonal(v);
     for (; k < changed.size() && changed[k].first == v; ++k) {
-      if (hub == hubs_.end()) continue;
+      if (hub == hub_sums_.end()) continue;
       const int block = changed[k].second;
       const auto& slots = slots_of_[At(v)];
       auto it = std::lower_bound(slots.begin(), slots.end(), block * kSlotBlock);
@@ -149,18 +151,18 @@ void BlockCholesky<B>::RecountDiagonals(std::vector<std::pair<int, int>>& change
         hub->second.emplace(block, sum);
       }
     }
-    if (hub != hubs_.end()) SumDiagonal(v);
+    if (hub != hub_sums_.end()) SumDiagonal(v);
   }
 }
 
 // Attaches a new factor and adds it to the diagonal. The sum is taken in the order of the slots: one behind all others
 // can be added to what is there; after any other the variable has to be counted again.
 template <int B>
-void BlockCholesky<B>::AttachNew(int slot, Undo& undo) {
+void BlockSystem<B>::AttachNew(int slot, Undo& undo) {
   const LinearFactor<B>& f = factors_[At(slot)];
   for (const int v : {f.first, f.second}) {
     if (v < 0) continue;
-    if (AttachTo(v, slot) && slots_of_[At(v)].size() <= kHub && hubs_.count(v) == 0) {
+    if (AttachTo(v, slot) && slots_of_[At(v)].size() <= kHub && hub_sums_.count(v) == 0) {
       if (v < undo.variables) undo.diagonals.emplace_back(v, diagonal_[At(v)]);
       diagonal_[At(v)] += DiagonalPart(v, slot);
     } else {
@@ -169,22 +171,17 @@ void BlockCholesky<B>::AttachNew(int slot, Undo& undo) {
   }
 }
 
-// Leaves `undo` able to take back what was done so far, whatever throws.
 template <int B>
-void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& added_slots, Undo& undo) {
+void BlockSystem<B>::Apply(const Changes& changes, Undo& undo) {
   undo.variables = Variables();
   undo.added.reserve(changes.added.size());
   undo.replaced.reserve(changes.replaced.size());
   undo.removed.reserve(changes.removed.size());
-  added_slots.reserve(changes.added.size());
   // Neither committing nor taking back allocates.
   internal::ReserveMore(free_slots_, changes.added.size() + changes.removed.size());
-  const size_t total = front_of_.size() + At(changes.new_variables);
+  const size_t total = slots_of_.size() + At(changes.new_variables);
   slots_of_.resize(total);
-  row_of_.resize(total, -1);
   diagonal_.resize(total, Vector<B>::Zero());
-  solution_.resize(total * B, 0.0);
-  front_of_.resize(total, -1);
   const auto recount = [&](int slot) {
     for (const int v : {factors_[At(slot)].first, factors_[At(slot)].second}) {
       if (v >= 0) undo.Recount(v, slot / kSlotBlock);
@@ -215,14 +212,13 @@ void BlockCholesky<B>::ApplyFactors(const Changes& changes, std::vector<int>& ad
     }
     SetSlot(slot, factor);
     undo.added.push_back(slot);
-    added_slots.push_back(slot);
     AttachNew(slot, undo);
   }
   RecountDiagonals(undo.recounted);
 }
 
 template <int B>
-void BlockCholesky<B>::RevertFactors(Undo& undo) {
+void BlockSystem<B>::Revert(Undo& undo) {
   for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) Detach(*it);
   for (const auto& [slot, factor] : undo.replaced) SetSlot(slot, factor);
   for (const auto& [slot, factor] : undo.removed) {
@@ -236,16 +232,13 @@ void BlockCholesky<B>::RevertFactors(Undo& undo) {
     free_slots_.push_back(*it);
   }
   const size_t total = At(undo.variables);
-  hubs_.erase(hubs_.lower_bound(undo.variables), hubs_.end());
-  front_of_.resize(total);
+  hub_sums_.erase(hub_sums_.lower_bound(undo.variables), hub_sums_.end());
   slots_of_.resize(total);
-  row_of_.resize(total);
   diagonal_.resize(total);
-  solution_.resize(total * B);
 }
 
 template <int B>
-void BlockCholesky<B>::CheckChanges(const Changes& changes) const {
+void BlockSystem<B>::Check(const Changes& changes) const {
   const int variables = Variables() + changes.new_variables;
   for (const auto& f : changes.added) {
     if (f.first < 0 || f.first >= variables || f.second >= variables || f.first == f.second) {
@@ -270,72 +263,71 @@ void BlockCholesky<B>::CheckChanges(const Changes& changes) const {
 }
 
 template <int B>
-typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& changes) {
-  CheckChanges(changes);
-  UpdateReport report;
-  next_version_ = internal::NextVersion();
-  Undo undo;
-  Region region;
-  const int old_variables = undo.variables = Variables();
-  const auto take_back = [&] {
-    Forget(region);
-    RevertFactors(undo);
-    report.added_slots.clear();
+std::vector<double> BlockSystem<B>::Gradient() const {
+  std::vector<double> b(slots_of_.size() * B, 0.0);
+  const auto add = [&](int v, const Matrix<B, B>& A, const Vector<B>& r) {
+    Eigen::Map<Vector<B>>(b.data() + At(v) * B) -= A.transpose() * r;
   };
+  for (const auto& f : factors_) {
+    if (f.first < 0) continue;
+    add(f.first, f.A_first, f.residual);
+    if (f.second >= 0) add(f.second, f.A_second, f.residual);
+  }
+  return b;
+}
+
+template <int B>
+std::vector<double> BlockSystem<B>::Diagonal() const {
+  std::vector<double> d;
+  d.reserve(diagonal_.size() * B);
+  for (const Vector<B>& v : diagonal_) d.insert(d.end(), v.data(), v.data() + B);
+  return d;
+}
+
+template <int B>
+void BlockSystem<B>::SetFactors(const std::vector<LinearFactor<B>>& factors, int threads) {
+  if (factors.size() > factors_.size()) throw std::invalid_argument("no such factor slot");
+  for (size_t k = 0; k < factors.size(); ++k) {
+    if (factors_[k].first != factors[k].first || factors_[k].second != factors[k].second) {
+      throw std::invalid_argument("a factor may not change its variables");
+    }
+  }
+  internal::SpreadChunks(threads, factors.size(), kChunk, [&](size_t begin, size_t end) {
+    for (size_t k = begin; k < end; ++k) SetSlot(static_cast<int>(k), factors[k]);
+  });
+  internal::SpreadChunks(threads, slots_of_.size(), kChunk, [&](size_t begin, size_t end) {
+    for (size_t v = begin; v < end; ++v) {
+      if (hub_sums_.count(static_cast<int>(v)) == 0) RecountDiagonal(static_cast<int>(v));
+    }
+  });
+  for (const auto& hub : hub_sums_) RecountDiagonal(hub.first);
+}
+
+// Where memory is short, nothing is remembered.
+template <int B>
+void BlockSystem<B>::Commit(const Undo& undo, std::uint64_t version_before) noexcept {
+  for (const auto& change : undo.removed) free_slots_.push_back(change.first);  // Apply made room
   try {
-    ApplyFactors(changes, report.added_slots, undo);
-    RankPath path;
-    if (HasDrifted(old_variables, region)) {
-      AllFronts(region.fronts);
-      report.failed_variable = RefactorRegion(old_variables, undo, region, report);
-    } else if (PlanAppend(changes, old_variables, undo.added)) {
-      report.failed_variable = Append(old_variables, report);
-    } else {
-      AffectedFronts(undo, region.fronts);
-      report.failed_variable = PlanRankUpdate(changes, old_variables, region.fronts, undo.added, path)
-                                   ? RankUpdate(path, old_variables, report)
-                                   : RefactorRegion(old_variables, undo, region, report);
+    Step step{version_before, {}};
+    for (const int slot : undo.added) step.changes.push_back({slot, LinearFactor<B>()});
+    for (const auto& [slot, factor] : undo.replaced) step.changes.push_back({slot, factor});
+    for (const auto& [slot, factor] : undo.removed) step.changes.push_back({slot, factor});
+    size_t known = step.changes.size();
+    for (const Step& s : history_) known += s.changes.size();
+    history_.push_back(std::move(step));
+    for (; !history_.empty() && (known > kMostRemembered || history_.size() > kMostSteps); history_.pop_front()) {
+      known -= history_.front().changes.size();
     }
   } catch (...) {
-    take_back();
-    throw;
+    history_.clear();
   }
-  if (report.failed_variable >= 0) {
-    take_back();
-    return report;
-  }
-  Forget(region);
-  if (report.fronts == 0 && report.fronts_updated == 0) report.path = FactorPath::kNone;
-  free_slots_.insert(free_slots_.end(), changes.removed.begin(), changes.removed.end());
-  report.ok = true;
-  if (report.path == FactorPath::kNone) return report;
-  Remember(undo);
-  version_ = next_version_;
-  return report;
-}
-
-// For ChangesSince. Where memory is short, nothing is remembered.
-template <int B>
-void BlockCholesky<B>::Remember(const Undo& undo) noexcept try {
-  Step step{version_, {}};
-  for (const int slot : undo.added) step.changes.push_back({slot, LinearFactor<B>()});
-  for (const auto& [slot, factor] : undo.replaced) step.changes.push_back({slot, factor});
-  for (const auto& [slot, factor] : undo.removed) step.changes.push_back({slot, factor});
-  size_t known = step.changes.size();
-  for (const Step& s : history_) known += s.changes.size();
-  history_.push_back(std::move(step));
-  for (; !history_.empty() && (known > kMostRemembered || history_.size() > kMostSteps); history_.pop_front()) {
-    known -= history_.front().changes.size();
-  }
-} catch (...) {
-  history_.clear();
 }
 
 template <int B>
-std::optional<std::vector<typename BlockCholesky<B>::SlotChange>> BlockCholesky<B>::ChangesSince(
-    std::uint64_t version) const {
+std::optional<std::vector<typename BlockSystem<B>::SlotChange>> BlockSystem<B>::ChangesSince(
+    std::uint64_t version, std::uint64_t present) const {
   std::vector<SlotChange> out;
-  if (version == version_) return out;
+  if (version == present) return out;
   auto it = std::find_if(history_.begin(), history_.end(), [&](const Step& s) { return s.version_before == version; });
   if (it == history_.end()) return std::nullopt;
   std::set<int> seen;
@@ -347,25 +339,52 @@ std::optional<std::vector<typename BlockCholesky<B>::SlotChange>> BlockCholesky<
   return out;
 }
 
-#define TERSE_INSTANTIATE(B)                                                                                      \
-  template void BlockCholesky<B>::CheckChanges(const Changes&) const;                                             \
-  template void BlockCholesky<B>::SetSlot(int, const LinearFactor<B>&);                                           \
-  template Vector<B> BlockCholesky<B>::DiagonalPart(int, int) const;                                              \
-  template void BlockCholesky<B>::RecountDiagonal(int);                                                           \
-  template void BlockCholesky<B>::SumDiagonal(int);                                                               \
-  template void BlockCholesky<B>::RecountDiagonals(std::vector<std::pair<int, int>>&);                            \
-  template void BlockCholesky<B>::AttachNew(int, Undo&);                                                          \
-  template void BlockCholesky<B>::ApplyFactors(const Changes&, std::vector<int>&, Undo&);                         \
-  template void BlockCholesky<B>::RevertFactors(Undo&);                                                           \
-  template void BlockCholesky<B>::Attach(int);                                                                    \
-  template bool BlockCholesky<B>::AttachTo(int, int);                                                             \
-  template void BlockCholesky<B>::Detach(int);                                                                    \
-  template void BlockCholesky<B>::Remember(const Undo&) noexcept;                                                 \
-  template std::optional<std::vector<BlockCholesky<B>::SlotChange>> BlockCholesky<B>::ChangesSince(std::uint64_t) \
-      const;                                                                                                      \
-  template BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes&);
-TERSE_INSTANTIATE(3)
-TERSE_INSTANTIATE(6)
-#undef TERSE_INSTANTIATE
+// Nobody can ask yet what changed since a version of before: the history is not stored.
+template <int B>
+template <class Archive>
+void BlockSystem<B>::Serialize(Archive& archive) {
+  auto& [factors, normals, free_slots, slots_of, diagonal, hub_sums, history] = *this;
+  archive(factors, free_slots);
+}
+
+template <int B>
+void BlockSystem<B>::Rebuild(size_t variables) {
+  normals_.assign(factors_.size(), Normal());
+  slots_of_.assign(variables, {});
+  diagonal_.assign(variables, Vector<B>::Zero());
+  hub_sums_.clear();
+  history_.clear();
+  for (int slot = 0; slot < Slots(); ++slot) {
+    if (factors_[At(slot)].first < 0) continue;
+    SetSlot(slot, factors_[At(slot)]);
+    Attach(slot);
+  }
+  for (int v = 0; v < Variables(); ++v) RecountDiagonal(v);
+}
+
+template <int B>
+std::string BlockSystem<B>::FindDefect(size_t variables) const {
+  const int n = static_cast<int>(variables);
+  size_t living = 0;
+  for (const LinearFactor<B>& f : factors_) {
+    if (f.first < -1 || f.first >= n || f.second < -1 || f.second >= n || (f.first >= 0 && f.first == f.second)) {
+      return "a linear factor names a variable that there is not";
+    }
+    living += f.first >= 0 ? 1 : 0;
+  }
+  std::vector<char> is_taken(factors_.size(), 0);
+  for (const int slot : free_slots_) {
+    if (slot < 0 || slot >= Slots()) return "a free slot that there is not";
+    if (std::exchange(is_taken[At(slot)], 1) != 0 || factors_[At(slot)].first >= 0) return "a free slot is in use";
+  }
+  return living + free_slots_.size() == factors_.size() ? "" : "a slot is neither free nor in use";
+}
+
+template void BlockSystem<3>::Serialize(StateWriter&);
+template void BlockSystem<3>::Serialize(StateReader&);
+template void BlockSystem<6>::Serialize(StateWriter&);
+template void BlockSystem<6>::Serialize(StateReader&);
+template class BlockSystem<3>;
+template class BlockSystem<6>;
 
 }  // namespace terse

@@ -1,0 +1,250 @@
+#include "cholesky/front_factorization.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <utility>
+
+#include "support/parallel.h"
+#include "terse/core/dense_kernels.h"
+
+namespace terse::internal {
+namespace {
+
+using std::size_t;
+
+constexpr double kSingular = 4e-15;
+constexpr double kParallelFlops = 2e7;  // from which it pays to wake other threads
+
+// Sum of the squared column counts.
+double FactorFlops(double rows, double pivots) {
+  double flops = 0;
+  for (double c = 0; c < pivots; ++c) flops += (rows - c) * (rows - c);
+  return flops;
+}
+
+// Where (row, column) of a front is stored: in the panel, or in the update matrix.
+template <int B>
+double* Target(Front<B>& front, int row, int column) {
+  const int p = front.Columns(), rows = front.Rows();
+  if (column < p) return front.panel.data() + At(column) * At(rows) + At(row);
+  return front.update.data() + At(column - p) * At(rows - p) + At(row - p);
+}
+
+// Adds to the columns of a front, from (row, column) on.
+template <int B, class Block>
+void AddBlock(Front<B>& front, int row, int column, const Block& block) {
+  using Map = Eigen::Map<Eigen::Matrix<double, B, B>, Eigen::Unaligned, Eigen::OuterStride<>>;
+  const int p = front.Columns(), rows = front.Rows();
+  Map(Target<B>(front, row, column), Eigen::OuterStride<>(column < p ? rows : rows - p)) += block;
+}
+
+template <int B>
+void AddRightHandSide(Front<B>& front, int column, const double* b, size_t stride) {
+  const size_t step = At(column < front.Columns() ? front.Rows() : front.Rows() - front.Columns());
+  double* target = Target<B>(front, front.Rows() - 1, column);
+  for (size_t k = 0; k < B; ++k) target[k * step] += b[k * stride];
+}
+
+void ClearLower(double* matrix, int rows, int columns) {
+  for (int c = 0; c < columns; ++c) std::fill_n(matrix + At(c) * At(rows) + At(c), rows - c, 0.0);
+}
+
+// Products are cut into blocks of so many columns, whatever the number of threads, so that the bits are the same.
+constexpr size_t kColumnBlock = 48;
+constexpr double kParallelProduct = 1e6;  // multiplications from which a cut pays
+// Pivots at a time in a large panel, so that most of its work is in products.
+constexpr int kPivotBlock = 96;
+
+// Lower trapezoid of C (rows x columns, leading dimension ldc) -= A A', A rows x depth with leading dimension ld.
+void SubtractSquare(double* c, int ldc, const double* a, int ld, int rows, int columns, int depth, bool parallel) {
+  const bool pays = 1.0 * rows * columns * depth > kParallelProduct;
+  ForEachChunk(parallel && pays, At(columns), kColumnBlock, [&](size_t begin, size_t end) {
+    Kernels().subtract_product(c + begin * At(ldc) + begin, ldc, a + begin, a + begin, ld,
+                               rows - static_cast<int>(begin), static_cast<int>(end - begin), depth);
+  });
+}
+
+// As the kernel of that name, with large panels in blocks.
+int FactorPanel(double* panel, int rows, int pivots, bool parallel) {
+  for (int k = 0; k < pivots; k += kPivotBlock) {
+    const int width = std::min(kPivotBlock, pivots - k), next = k + width;
+    double* corner = panel + At(k) * At(rows) + At(k);
+    const int failed = Kernels().factor_panel(corner, rows, rows - k, width);
+    if (failed >= 0) return k + failed;
+    if (next == pivots) break;
+    SubtractSquare(panel + At(next) * At(rows) + At(next), rows, corner + width, rows, rows - next, pivots - next,
+                   width, parallel);
+  }
+  return -1;
+}
+
+template <int B>
+void AssembleFactor(Front<B>& front, int slot, const BlockSystem<B>& system, const std::vector<int>& row_of) {
+  const LinearFactor<B>& f = system.FactorAt(slot);
+  const auto& normal = system.NormalAt(slot);
+  const int i = row_of[At(f.first)];
+  AddBlock<B>(front, i, i, normal.H_first);
+  AddRightHandSide<B>(front, i, normal.b_first.data(), 1);
+  if (f.second < 0) return;
+  const int j = row_of[At(f.second)];
+  AddBlock<B>(front, j, j, normal.H_second);
+  AddRightHandSide<B>(front, j, normal.b_second.data(), 1);
+  if (i > j) {
+    AddBlock<B>(front, i, j, normal.H_cross.transpose());
+  } else {
+    AddBlock<B>(front, j, i, normal.H_cross);
+  }
+}
+
+// Extend-add of a child's update matrix. A kept child's separator order may be stale: its ancestors were ordered
+// again since, so a block can land transposed. Separators that stay neighbours are added as one run.
+template <int B>
+void AssembleChild(Front<B>& front, const Front<B>& child, const std::vector<int>& row_of) {
+  const int blocks = child.update_separators;
+  const int n = blocks * B + 1;
+  const auto row = [&](int k) { return row_of[At(child.separators[At(k)])]; };
+  for (int j = 0; j < blocks; ++j) {
+    const int cj = row(j);
+    const double* columns = child.update.data() + At(j * B) * At(n);
+    for (int i = j; i < blocks;) {
+      const int ci = row(i);
+      if (ci < cj) {
+        using Source = Eigen::Map<const Eigen::Matrix<double, B, B>, Eigen::Unaligned, Eigen::OuterStride<>>;
+        AddBlock<B>(front, cj, ci, Source(columns + i * B, Eigen::OuterStride<>(n)).transpose());
+        ++i;
+        continue;
+      }
+      int end = i + 1;
+      while (end < blocks && row(end) == ci + (end - i) * B) ++end;
+      const size_t step = At(cj < front.Columns() ? front.Rows() : front.Rows() - front.Columns());
+      double* target = Target<B>(front, ci, cj);
+      for (int c = 0; c < B; ++c) {
+        const double* source = columns + At(c) * At(n) + At(i * B);
+        double* to = target + At(c) * step;
+        const int length = (end - i) * B;
+        for (int k = i == j ? c : 0; k < length; ++k) to[k] += source[k];
+      }
+      i = end;
+    }
+    AddRightHandSide<B>(front, cj, columns + At(n - 1), At(n));
+  }
+}
+
+}  // namespace
+
+template <int B>
+int FrontFactorization<B>::FactorFront(Front<B>& front, const Sources& from, std::vector<int>& row_of, bool parallel) {
+  const int rows = front.Rows(), p = front.Columns(), n = rows - p;
+  ClearLower(front.panel.data(), rows, p);
+  ClearLower(front.update.data(), n, n);
+  front.update_separators = static_cast<int>(front.separators.size());
+  front.corrections.clear();
+  front.ForEachRow([&](int v, int row) { row_of[At(v)] = row; });
+  for (const int slot : front.slots) AssembleFactor<B>(front, slot, from.system, row_of);
+  for (const int child : front.children) {
+    AssembleChild<B>(front, child < 0 ? from.pending[At(-1 - child)] : from.tree[child], row_of);
+  }
+  if (!from.damping.empty()) {
+    for (int c = 0; c < p; ++c) *front.Entry(c, c) += from.damping[At(front.pivots[At(c / B)]) * B + At(c % B)];
+  }
+  const int failed = FactorPanel(front.panel.data(), rows, p, parallel);
+  if (failed >= 0) return front.pivots[At(failed / B)];
+  SubtractSquare(front.update.data(), n, front.panel.data() + p, rows, n, n, p, parallel);
+  return SumPivots(front, 0, from.system);
+}
+
+template <int B>
+int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const std::vector<int>& parents,
+                                     const std::vector<Front<B>>& pending, const BlockSystem<B>& system,
+                                     const FrontTree<B>& tree, const std::vector<double>& damping, double& flops) {
+  const auto take_buffers = [&](Front<B>& front) {
+    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
+    if (front.panel.size() < rows * At(front.Columns())) front.panel = pool_.Take(rows * At(front.Columns()));
+    if (front.update.size() < n * n) front.update = pool_.Take(n * n);
+  };
+  const Sources from{system, tree, pending, damping};
+  double total = 0;
+  for (const Front<B>* front : fronts) total += FactorFlops(front->Rows(), front->Columns());
+  const int count = static_cast<int>(fronts.size());
+  std::atomic<int> end(count);  // the first front that failed, or all
+  std::vector<int> failed(fronts.size(), -1);
+  const auto factor = [&](int k, std::vector<int>& row_of, bool parallel) {
+    int seen = end;
+    if (k > seen) return;
+    failed[At(k)] = FactorFront(*fronts[At(k)], from, row_of, parallel);
+    while (failed[At(k)] >= 0 && k < seen && !end.compare_exchange_weak(seen, k)) continue;
+  };
+  if (threads_ > 1 && total > kParallelFlops) {
+    for (Front<B>* front : fronts) take_buffers(*front);
+    thread_row_of_.resize(At(threads_));
+    for (auto& row_of : thread_row_of_) row_of.resize(row_of_.size());
+    WithThreads(threads_,
+                [&] { ForEachBottomUp(parents, [&](int k) { factor(k, thread_row_of_[ThreadIndex()], true); }); });
+  } else {
+    for (int k = 0; k < std::min(count, end + 1); ++k) {
+      take_buffers(*fronts[At(k)]);
+      factor(k, row_of_, false);
+    }
+  }
+  for (int k = 0; k < end; ++k) flops += FactorFlops(fronts[At(k)]->Rows(), fronts[At(k)]->Columns());
+  return end < count ? failed[At(end)] : -1;
+}
+
+template <int B>
+int FrontFactorization<B>::SumPivots(Front<B>& front, int first_column, const BlockSystem<B>& system) {
+  const int rows = front.Rows(), p = front.Columns();
+  front.log_det = front.y2 = 0;
+  for (int c = 0; c < p; ++c) {
+    const double* column = front.panel.data() + At(c) * At(rows);
+    const double pivot = column[c], y = column[rows - 1];
+    // What is left of a direction that nothing measures is rounding of what was assembled.
+    if (c >= first_column && !(pivot * pivot > kSingular * system.DiagonalOf(front.pivots[At(c / B)])[c % B])) {
+      return front.pivots[At(c / B)];
+    }
+    front.log_det += 2 * std::log(pivot);
+    front.y2 += y * y;
+  }
+  return std::isfinite(front.y2) ? -1 : front.pivots.front();
+}
+
+template <int B>
+void FrontFactorization<B>::WorkInCorrections(Front<B>& front) {
+  if (front.corrections.empty()) return;
+  const int n = B * static_cast<int>(front.separators.size()) + 1, old = front.UpdateRows();
+  if (n != old) {
+    std::vector<double> wider = pool_.Take(At(n) * At(n));
+    ClearLower(wider.data(), n, n);
+    for (int c = 0; c < old - 1; ++c) {
+      const double* from = front.update.data() + At(c) * At(old);
+      double* to = wider.data() + At(c) * At(n);
+      std::copy(from + c, from + old - 1, to + c);
+      to[n - 1] = from[old - 1];
+    }
+    front.update.swap(wider);
+    front.update_separators = static_cast<int>(front.separators.size());
+    pool_.MakeRoom(wider.size());
+    pool_.Give(std::move(wider));
+  }
+  int depth = 0;
+  for (const Correction& c : front.corrections) depth += c.columns;
+  std::vector<double> W(At(n) * At(depth), 0.0);
+  double* column = W.data();
+  for (const Correction& c : front.corrections) {
+    const int rows = B * c.separators + 1;
+    for (int k = 0; k < c.columns; ++k, column += n) {
+      const double* from = c.W.data() + At(k) * At(rows);
+      std::copy(from, from + rows - 1, column);
+      column[n - 1] = from[rows - 1];
+    }
+  }
+  std::vector<double> negative(W);
+  for (double& x : negative) x = -x;
+  Kernels().subtract_product(front.update.data(), n, W.data(), negative.data(), n, n, n, depth);
+  front.corrections.clear();
+}
+
+template class FrontFactorization<3>;
+template class FrontFactorization<6>;
+
+}  // namespace terse::internal

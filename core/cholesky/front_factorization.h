@@ -1,0 +1,61 @@
+#pragma once
+// The numbers of fronts: assembly from the block system and from the children's update matrices, and partial
+// factorisation.
+
+#include <vector>
+
+#include "terse/core/front_tree.h"
+
+namespace terse::internal {
+
+template <int B>
+class FrontFactorization {
+ public:
+  void SetThreads(int threads) { threads_ = threads; }
+  int Threads() const { return threads_; }
+  void Resize(int variables) { row_of_.resize(At(variables), -1); }
+
+  // Assembles and factors one front, which has its buffers; its children that are not in the tree are in `pending`
+  // (FrontTree::Replace). damping: B scalars per variable, added to the diagonal, or empty. Returns the variable at
+  // which the matrix was found not to be positive definite, or -1.
+  int Factor(Front<B>& front, const std::vector<Front<B>>& pending, const BlockSystem<B>& system,
+             const FrontTree<B>& tree, const std::vector<double>& damping = {}) {
+    return FactorFront(front, {system, tree, pending, damping}, row_of_, false);
+  }
+  // Factors fronts, children before parents; parents[k] > k is the index of that of fronts[k], or -1. Gives them
+  // buffers and counts the flops. Returns the variable at which the matrix was found not to be positive definite,
+  // whatever the number of threads the first in this order, or -1.
+  int FactorAll(const std::vector<Front<B>*>& fronts, const std::vector<int>& parents,
+                const std::vector<Front<B>>& pending, const BlockSystem<B>& system, const FrontTree<B>& tree,
+                const std::vector<double>& damping, double& flops);
+  // Works what rank-k updates left into the update matrix.
+  void WorkInCorrections(Front<B>& front);
+  // Sums up what the pivots add to log-determinant and |y|^2; returns the first variable from a column on that nothing
+  // measures, or -1.
+  static int SumPivots(Front<B>& front, int first_column, const BlockSystem<B>& system);
+
+  BufferPool& Pool() { return pool_; }
+  // Scratch, by variable: its first row in the front at hand.
+  std::vector<int>& RowOf() { return row_of_; }
+
+ private:
+  struct Sources {
+    const BlockSystem<B>& system;
+    const FrontTree<B>& tree;
+    const std::vector<Front<B>>& pending;
+    const std::vector<double>& damping;
+  };
+  // row_of: of the calling thread. May run for several fronts at once, if parallel also with threads of its own inside
+  // one.
+  static int FactorFront(Front<B>& front, const Sources& from, std::vector<int>& row_of, bool parallel);
+
+  std::vector<int> row_of_;
+  std::vector<std::vector<int>> thread_row_of_;  // the same, by thread
+  BufferPool pool_;
+  int threads_ = 1;
+};
+
+extern template class FrontFactorization<3>;
+extern template class FrontFactorization<6>;
+
+}  // namespace terse::internal

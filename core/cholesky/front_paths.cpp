@@ -1,0 +1,150 @@
+#include "terse/core/front_paths.h"
+
+namespace terse::internal {
+
+std::vector<int>& RowScratch(int variables) {
+  thread_local std::vector<int> row_of;
+  if (row_of.size() < At(variables)) row_of.resize(At(variables));
+  return row_of;
+}
+
+template <int B>
+void SolvePaths(const FrontPaths<B>& paths, const std::vector<RightHandSide<B>>& E, int variables,
+                std::vector<double>& X, int stride) {
+  const std::size_t size = At(variables) * B * At(stride);
+  if (X.size() < size) X.resize(size + size / 2);
+  std::vector<int>& row_of = RowScratch(variables);
+  for (int v = 0; v < variables; ++v) row_of[At(v)] = B * v;
+  std::vector<double> scratch;
+  for (int k = 0; k < paths.Size(); ++k) {
+    for (const int v : paths[k].pivots) std::fill_n(X.begin() + long{v} * B * stride, B * stride, 0.0);
+  }
+  std::vector<int> first(At(paths.Size()), kNoRow);
+  const auto lower = [&](std::vector<int>& bound, int v) {
+    int& at = bound[At(paths.PositionOf(v))];
+    at = std::min(at, PivotRow<B>(paths[paths.PositionOf(v)], v));
+  };
+  for (const auto& e : E) {
+    AddRightHandSide(e, row_of, X.data(), stride);
+    lower(first, e.variable);
+  }
+  ForwardPaths(paths, first, lower, row_of, X.data(), stride, scratch);
+  for (int k = 0; k < paths.Size(); ++k) {
+    BackwardFront<B>(paths[k], 0, first[At(k)] == kNoRow, row_of, X.data(), stride, scratch);
+  }
+}
+
+template <int B>
+void SolveAll(const FrontTree<B>& tree, const std::vector<RightHandSide<B>>& E, std::vector<double>& X, int stride) {
+  FrontPaths<B> paths(tree);
+  for (const auto& e : E) paths.Add(e.variable);
+  SolvePaths(paths, E, tree.Variables(), X, stride);
+  const std::vector<int>& row_of = RowScratch(tree.Variables());
+  std::vector<double> scratch;
+  tree.ForEach([&](int id, const auto& front) {
+    if (paths.Find(id) < 0) BackwardFront<B>(front, 0, true, row_of, X.data(), stride, scratch);
+  });
+}
+
+template <int B>
+void SolveDense(const FrontTree<B>& tree, std::vector<double>& X, int stride) {
+  std::vector<int>& row_of = RowScratch(tree.Variables());
+  for (int v = 0; v < tree.Variables(); ++v) row_of[At(v)] = B * v;
+  std::vector<double> scratch;
+  std::vector<const Front<B>*> fronts;
+  tree.ForEach([&](int, const Front<B>& front) { fronts.push_back(&front); });
+  for (auto front = fronts.rbegin(); front != fronts.rend(); ++front) {
+    ForwardFront<B>(**front, 0, row_of, X.data(), stride, scratch);
+  }
+  for (const Front<B>* front : fronts) BackwardFront<B>(*front, 0, false, row_of, X.data(), stride, scratch);
+}
+
+template <int B>
+PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f) {
+  std::map<int, Matrix<B, B>> rhs;
+  rhs[f.first] = f.A_first.transpose();
+  rhs[f.second] = f.A_second.transpose();
+  PathColumns<B> out;
+  Eigen::Matrix<double, Eigen::Dynamic, B> below;
+  FrontPaths<B> paths(tree);
+  paths.Add(f.second);
+  paths.Add(f.first);
+  for (int k = paths.Size() - 1; k >= 0; --k) {
+    const Front<B>& front = paths[k];
+    const int rows = front.Rows(), p = front.Columns();
+    const auto L = front.Panel();
+    auto& z = out[paths.IdAt(k)];
+    z.setZero(p, B);
+    int row = 0;
+    for (const int v : front.pivots) {
+      const auto it = rhs.find(v);
+      if (it != rhs.end()) z.template middleRows<B>(row) = it->second;
+      row += B;
+    }
+    L.topRows(p).template triangularView<Eigen::Lower>().solveInPlace(z);
+    below.noalias() = L.middleRows(p, rows - 1 - p) * z;
+    row = 0;
+    for (const int v : front.separators) {
+      const auto it = rhs.try_emplace(v, Matrix<B, B>::Zero()).first;
+      it->second -= below.template middleRows<B>(row);
+      row += B;
+    }
+  }
+  return out;
+}
+
+template <int B>
+Matrix<B, B> Gram(const PathColumns<B>& a, const PathColumns<B>& b) {
+  Matrix<B, B> sum = Matrix<B, B>::Zero();
+  for (const auto& [front, z] : a) {
+    const auto it = b.find(front);
+    if (it != b.end()) sum.noalias() += z.transpose() * it->second;
+  }
+  return sum;
+}
+
+template <int B>
+std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>& Z, const Vector<B>& q) {
+  std::vector<double> x(static_cast<std::size_t>(tree.Variables()) * B, 0.0);
+  std::vector<int> stack = tree.Roots();
+  Eigen::VectorXd xs, xp;
+  while (!stack.empty()) {
+    const int id = stack.back();
+    stack.pop_back();
+    const auto& front = tree[id];
+    const int rows = front.Rows(), p = front.Columns();
+    const auto L = front.Panel();
+    xs.resize(rows - 1 - p);
+    int row = 0;
+    for (const int v : front.separators) {
+      xs.template segment<B>(row) = Eigen::Map<const Vector<B>>(x.data() + static_cast<std::size_t>(v) * B);
+      row += B;
+    }
+    const auto it = Z.find(id);
+    if (it == Z.end() && xs.isZero(0)) continue;  // all below stays
+    xp = it != Z.end() ? Eigen::VectorXd(it->second * q) : Eigen::VectorXd::Zero(p);
+    xp.noalias() -= L.middleRows(p, rows - 1 - p).transpose() * xs;
+    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(xp);
+    row = 0;
+    for (const int v : front.pivots) {
+      Eigen::Map<Vector<B>>(x.data() + static_cast<std::size_t>(v) * B) = xp.template segment<B>(row);
+      row += B;
+    }
+    stack.insert(stack.end(), front.children.begin(), front.children.end());
+  }
+  return x;
+}
+
+#define TERSE_INSTANTIATE(B)                                                                                         \
+  template void SolvePaths<B>(const FrontPaths<B>&, const std::vector<RightHandSide<B>>&, int, std::vector<double>&, \
+                              int);                                                                                  \
+  template void SolveAll<B>(const FrontTree<B>&, const std::vector<RightHandSide<B>>&, std::vector<double>&, int);   \
+  template void SolveDense<B>(const FrontTree<B>&, std::vector<double>&, int);                                       \
+  template PathColumns<B> SolveForward<B>(const FrontTree<B>&, const LinearFactor<B>&);                              \
+  template Matrix<B, B> Gram<B>(const PathColumns<B>&, const PathColumns<B>&);                                       \
+  template std::vector<double> SolveBackward<B>(const FrontTree<B>&, const PathColumns<B>&, const Vector<B>&);
+TERSE_INSTANTIATE(3)
+TERSE_INSTANTIATE(6)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse::internal

@@ -1,0 +1,200 @@
+#include "cholesky/region.h"
+
+#include <algorithm>
+
+#include "support/stopwatch.h"
+
+namespace terse::internal {
+namespace {
+
+using std::size_t;
+
+// So many times the entries of a fresh ordering are too many, in a graph of so many variables.
+constexpr double kDrift = 1.5;
+constexpr int kLeastDrifting = 100;
+
+}  // namespace
+
+template <int B>
+void Region<B>::TakeAffected(const UpdateContext<B>& update) {
+  is_taken_.resize(At(update.tree.Size()), 0);
+  update.undo.VisitVariables(update.system, [&](int variable) {
+    update.tree.Climb(update.tree.FrontOf(variable), [&](int f) {
+      if (is_taken_[At(f)] != 0) return false;
+      fronts_.push_back(f);
+      is_taken_[At(f)] = 1;
+      return true;
+    });
+  });
+}
+
+template <int B>
+void Region<B>::TakeAll(const FrontTree<B>& tree) {
+  fronts_ = tree.TopDown();
+  is_taken_.resize(At(tree.Size()), 0);
+  for (const int f : fronts_) is_taken_[At(f)] = 1;
+}
+
+template <int B>
+bool Region<B>::TakeAllIfDrifted(const UpdateContext<B>& update) {
+  const int variables = update.undo.variables;
+  if (variables < kLeastDrifting || variables < 2 * drift_looked_at_) return false;
+  drift_looked_at_ = variables;
+  TakeAll(update.tree);
+  const Couplings couplings = Collect(update, false);
+  double fresh = 0;
+  for (const auto& front : Eliminate(static_cast<int>(variables_.size()), couplings.cliques, couplings.order_last)) {
+    const double p = B * static_cast<double>(front.pivots.size()), s = B * static_cast<double>(front.separators.size());
+    fresh += p * (p + 1) / 2 + p * s;
+  }
+  Clear();
+  if (!(static_cast<double>(update.tree.Nonzeros()) > kDrift * fresh)) return false;
+  TakeAll(update.tree);
+  return true;
+}
+
+template <int B>
+void Region<B>::Clear() noexcept {
+  for (const int f : fronts_) is_taken_[At(f)] = 0;
+  for (const int v : variables_) local_[At(v)] = -1;
+  fronts_.clear();
+  variables_.clear();
+}
+
+// Calls visit(slot) for the linear factors between the region's variables, by first variable and slot. One that reaches
+// below belongs to a front that stays, and most of a hub may be of that kind; where there are many, those that are
+// wanted come out of the fronts.
+template <int B>
+template <class Visit>
+void Region<B>::ForEachSlot(const UpdateContext<B>& update, bool with_added, const Visit& visit) const {
+  const BlockSystem<B>& system = update.system;
+  const std::vector<int>& added = update.undo.added;
+  size_t on_variables = 0, in_fronts = 0;
+  for (const int v : variables_) on_variables += system.SlotsOf(v).size();
+  for (const int f : fronts_) in_fronts += update.tree[f].slots.size();
+  if (!with_added || on_variables <= BlockSystem<B>::kHub || on_variables <= 4 * (in_fronts + added.size())) {
+    for (const int v : variables_) {
+      for (const int slot : system.SlotsOf(v)) {
+        const LinearFactor<B>& f = system.FactorAt(slot);
+        if (f.first == v && (f.second < 0 || local_[At(f.second)] >= 0)) visit(slot);
+      }
+    }
+    return;
+  }
+  std::vector<std::pair<int, int>> wanted;  // (index of the first variable, slot)
+  const auto want = [&](int slot) {
+    const int first = system.FactorAt(slot).first;
+    if (first >= 0) wanted.emplace_back(local_[At(first)], slot);
+  };
+  for (const int f : fronts_) std::for_each(update.tree[f].slots.begin(), update.tree[f].slots.end(), want);
+  std::for_each(added.begin(), added.end(), want);
+  std::sort(wanted.begin(), wanted.end());
+  for (const auto& entry : wanted) visit(entry.second);
+}
+
+// Of what was taken and the new variables, which it lists. with_added: the added slots may be in no front yet.
+template <int B>
+typename Region<B>::Couplings Region<B>::Collect(const UpdateContext<B>& update, bool with_added) {
+  local_.resize(At(update.system.Variables()), -1);
+  const auto take = [&](int v) {
+    local_[At(v)] = static_cast<int>(variables_.size());
+    variables_.push_back(v);
+  };
+  for (const int f : fronts_) {
+    for (const int v : update.tree[f].pivots) take(v);
+  }
+  for (int v = update.undo.variables; v < update.system.Variables(); ++v) take(v);
+  Couplings out;
+  const auto close = [&](int slot, int orphan) {
+    out.cliques.Close();
+    out.slot.push_back(slot);
+    out.orphan.push_back(orphan);
+  };
+  ForEachSlot(update, with_added, [&](int slot) {
+    const LinearFactor<B>& f = update.system.FactorAt(slot);
+    out.cliques.members.push_back(local_[At(f.first)]);
+    if (f.second >= 0) out.cliques.members.push_back(local_[At(f.second)]);
+    close(slot, -1);
+  });
+  for (const int f : fronts_) {
+    for (const int child : update.tree[f].children) {
+      if (is_taken_[At(child)] != 0) continue;
+      for (const int v : update.tree[child].separators) out.cliques.members.push_back(local_[At(v)]);
+      close(-1, child);
+    }
+  }
+  out.order_last.assign(variables_.size(), 0);
+  return out;
+}
+
+template <int B>
+void Region<B>::OrderNewestLast(const UpdateContext<B>& update, Couplings& couplings) const {
+  if (fronts_.empty()) return;  // where everything is new, nothing is newest
+  const auto last = [&](int v) {
+    if (v >= 0 && local_[At(v)] >= 0) couplings.order_last[At(local_[At(v)])] = 1;
+  };
+  for (const int slot : update.undo.added) {
+    last(update.system.FactorAt(slot).first);
+    last(update.system.FactorAt(slot).second);
+  }
+  last(update.system.Variables() - 1);
+}
+
+// As FrontTree::Replace takes them.
+template <int B>
+std::vector<Front<B>> Region<B>::MakeFronts(const Couplings& couplings) const {
+  const auto symbolic = Eliminate(static_cast<int>(variables_.size()), couplings.cliques, couplings.order_last);
+  std::vector<Front<B>> pending(symbolic.size());
+  for (size_t k = 0; k < symbolic.size(); ++k) {
+    Front<B>& front = pending[k];
+    front.parent = symbolic[k].parent;
+    for (const int l : symbolic[k].pivots) front.pivots.push_back(variables_[At(l)]);
+    for (const int l : symbolic[k].separators) front.separators.push_back(variables_[At(l)]);
+    front.ordered_rows = front.Rows();
+    front.ordered_columns = front.Columns();
+    for (const int c : symbolic[k].cliques) {
+      if (couplings.slot[At(c)] >= 0) {
+        front.slots.push_back(couplings.slot[At(c)]);
+      } else {
+        front.children.push_back(couplings.orphan[At(c)]);
+      }
+    }
+    if (front.parent >= 0) pending[At(front.parent)].children.push_back(-1 - static_cast<int>(k));
+  }
+  return pending;
+}
+
+template <int B>
+int Region<B>::Refactor(UpdateContext<B>& update) {
+  std::vector<Front<B>> pending;
+  std::vector<int> orphans;
+  {
+    ScopedTimer timer(update.report.seconds_order);
+    Couplings couplings = Collect(update, true);
+    OrderNewestLast(update, couplings);
+    pending = MakeFronts(couplings);
+    orphans = std::move(couplings.orphan);
+  }
+  for (const int child : orphans) {
+    if (child >= 0) update.numbers.WorkInCorrections(update.tree[child]);
+  }
+  std::vector<Front<B>*> fronts;
+  std::vector<int> parents;
+  for (Front<B>& front : pending) {
+    fronts.push_back(&front);
+    parents.push_back(front.parent);
+  }
+  const int failed =
+      update.numbers.FactorAll(fronts, parents, pending, update.system, update.tree, {}, update.report.flops);
+  if (failed >= 0) return failed;
+  update.report.fronts = static_cast<int>(pending.size());
+  update.report.variables = static_cast<int>(variables_.size());
+  update.report.path = FactorPath::kRefactored;
+  update.tree.Replace(fronts_, is_taken_, pending, update.version, update.numbers.Pool());
+  return -1;
+}
+
+template class Region<3>;
+template class Region<6>;
+
+}  // namespace terse::internal
