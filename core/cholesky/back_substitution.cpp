@@ -13,17 +13,19 @@ void BackSubstitution<B>::Visit(Front<B>& front, const BlockSystem<B>& system, d
                                 std::vector<double>& solution, std::vector<int>& changed) {
   const int rows = front.Rows(), p = front.Columns();
   x_.resize(At(rows));
+  double* const d = solution.data();
+  double* const moved = moved_.data();
   double* separators = x_.data() + p;
-  for (const int v : front.separators) separators = std::copy_n(solution.data() + At(v) * B, B, separators);
+  for (const int v : front.separators) separators = std::copy_n(d + At(v) * B, B, separators);
   Kernels().back_substitute(front.panel.data(), rows, p, x_.data());
   for (std::size_t k = 0; k < front.pivots.size(); ++k) {
     const int v = front.pivots[k];
-    Eigen::Map<Vector<B>> old(solution.data() + At(v) * B);
+    Eigen::Map<Vector<B>> old(d + At(v) * B);
     const Eigen::Map<const Vector<B>> value(x_.data() + k * B);
     const double change = (value - old).cwiseAbs2().dot(system.DiagonalOf(v));
     if (change <= threshold) continue;
     old = value;
-    moved_[At(v)] = change;
+    moved[At(v)] = change;
     changed.push_back(v);
   }
 }
@@ -67,9 +69,10 @@ std::vector<int> BackSubstitution<B>::Solve(FrontTree<B>& tree, const BlockSyste
     const double rows = front.Rows(), p = front.Columns();
     report.flops += 2.0 * rows * p - 1.0 * p * p;
     for (const int child : front.children) {
+      const Front<B>& below = tree[child];
       double largest = 0;
-      for (const int v : tree[child].separators) largest = std::max(largest, moved_[At(v)]);
-      if (largest > 0 || tree[child].fresh) stack.emplace_back(largest, child);
+      for (const int v : below.separators) largest = std::max(largest, moved_[At(v)]);
+      if (largest > 0 || below.fresh) stack.emplace_back(largest, child);
     }
   }
   Defer(stack, tree);
