@@ -68,6 +68,7 @@ TYPED_TEST(CompactPoseSlamTest, APoseItsOdometryAndARegistration) {
   for (CompactInput<TypeParam> input : replay.Inputs()) {
     input.loops.reset();
     input.linkable.reset();
+    input.T_world_body.reset();
     const Decision a = by_input.AddPose(input, registration);
     const Decision b = by_pose.AddPose(input.id, input.odometry, same_registration);
     EXPECT_EQ(a.verdict, b.verdict);
