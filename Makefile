@@ -123,7 +123,7 @@ format-check: ## fail if a source is not formatted
 	@printf '%s\n' $(sources) | xargs -n 16 -P $(JOBS) clang-format --dry-run -Werror
 
 clean: ## remove all that was built
-	@rm -rf build build-debug build-asan build-tsan build-tidy build-bench
+	@rm -rf build build-debug build-asan build-tsan build-tidy build-bench build-pip
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{printf "make %-17s %s\n", $$1, $$2}'
