@@ -59,17 +59,15 @@ std::shared_ptr<Marginals> MarginalsOf(Solution& solution) {
       [&](auto& result) {
         using Pose = std::decay_t<decltype(result->T_world_body.front())>;
         const auto& g = std::get<PoseGraph<Pose>>(*solution.graph);
-        auto queries = [&] {
-          if (result->factor.Variables() == static_cast<int>(g.Poses().size()) ||
-              result->termination == Termination::kNotPositiveDefinite) {
-            BlockCholesky<Pose::kDof> factor = std::move(result->factor);
-            BatchResult<Pose> copy = *result;
-            copy.factor = std::move(factor);
-            return std::make_shared<const terse::Marginals<Pose>>(g, std::move(copy));
-          }
-          // Pickles leave it out.
-          return std::make_shared<const terse::Marginals<Pose>>(WithWeights(g, result->weights), result->T_world_body);
-        }();
+        using Queries = terse::Marginals<Pose>;
+        std::shared_ptr<const Queries> queries;
+        if (result->termination == Termination::kNotPositiveDefinite) {
+          queries = std::make_shared<const Queries>(g, *result);  // which says what is free
+        } else if (result->factor.Variables() == static_cast<int>(g.Poses().size())) {
+          queries = std::make_shared<const Queries>(g, result->T_world_body, std::move(result->factor));
+        } else {  // pickles leave it out
+          queries = std::make_shared<const Queries>(WithWeights(g, result->weights), result->T_world_body);
+        }
         solution.marginals = std::make_shared<Marginals>(Marginals{std::move(queries), solution.graph});
       },
       solution.result);
@@ -85,7 +83,7 @@ Graph GraphOf(const Solution& solution) {
       solution.result);
 }
 
-// Without the Cholesky factor; marginals() makes it again.
+// The Cholesky factor is left out; marginals() makes it again.
 template <class Pose>
 using StoredSolution = std::pair<PoseGraph<Pose>, BatchResult<Pose>>;
 
@@ -95,7 +93,7 @@ py::tuple PickledSolution(const Solution& solution) {
         using Pose = std::decay_t<decltype(result->T_world_body.front())>;
         const auto& g = std::get<PoseGraph<Pose>>(*solution.graph);
         return py::make_tuple(
-            2 * Pose::kDim - 3 == 1 ? 2 : 3,
+            Pose::kDim,
             Pickled("pickle Solution", std::pair<const PoseGraph<Pose>&, const BatchResult<Pose>&>(g, *result)));
       },
       solution.result);
