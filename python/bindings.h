@@ -19,5 +19,6 @@ void BindInformation(pybind11::module_& module);
 void BindDecision(pybind11::module_& module);
 void BindReplay(pybind11::module_& module);
 void BindCompact(pybind11::module_& module);
+void BindCompactRun(pybind11::module_& module);
 
 }  // namespace terse::python

@@ -22,4 +22,5 @@ PYBIND11_MODULE(_terse, module) {
   BindDecision(module);
   BindReplay(module);
   BindCompact(module);
+  BindCompactRun(module);
 }

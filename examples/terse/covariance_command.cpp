@@ -8,7 +8,6 @@
 #include "output_paths.h"
 #include "progress.h"
 #include "run_statistics.h"
-#include "start.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/gauge.h"
 #include "terse/core/initial_values.h"
@@ -86,8 +85,7 @@ Point<Pose> SolvedPoint(const PoseGraph<Pose>& graph, const CovarianceCommandOpt
     progress.Update(iteration);
     return true;
   };
-  nlohmann::ordered_json start;
-  BatchResult<Pose> result = SolveBatch(graph, StartValues(graph, InitialValues::kAuto, batch, start), batch);
+  BatchResult<Pose> result = SolveBatch(graph, batch);
   if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
     throw NumericalError(result.message);
   }
