@@ -1,6 +1,6 @@
 // JSON from files: limits, and what is said of files that are none.
 
-#include "json_file.h"
+#include "run/json_file.h"
 
 #include <gtest/gtest.h>
 

@@ -10,8 +10,8 @@
 #include <new>
 #include <stdexcept>
 
-#include "commands.h"
-#include "reference.h"
+#include "commands/commands.h"
+#include "commands/reference.h"
 #include "terse/core/atomic_file.h"
 
 namespace {

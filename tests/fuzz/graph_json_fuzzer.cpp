@@ -1,8 +1,8 @@
 // graph.json of a compact run; a map that was read is written and read again to an equal one, and a small one
 // continued.
 
-#include "compact_map_file.h"
 #include "fuzzing.h"
+#include "run/compact_map_file.h"
 #include "terse/compact/compact_pose_slam.h"
 
 namespace terse::fuzz {

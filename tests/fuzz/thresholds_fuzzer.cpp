@@ -1,7 +1,7 @@
 // thresholds.json; what was read is written and read again to the same numbers.
 
 #include "fuzzing.h"
-#include "thresholds_file.h"
+#include "run/thresholds_file.h"
 
 namespace terse::fuzz {
 namespace {
