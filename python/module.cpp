@@ -21,5 +21,6 @@ PYBIND11_MODULE(_terse, module) {
   BindInformation(module);
   BindDecision(module);
   BindReplay(module);
+  BindMapFile(module);
   BindCompact(module);
 }

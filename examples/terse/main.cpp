@@ -12,6 +12,7 @@
 
 #include "commands/commands.h"
 #include "commands/reference.h"
+#include "run/standard_output.h"
 #include "terse/core/atomic_file.h"
 
 namespace {

@@ -1,13 +1,10 @@
 #include <algorithm>
-#include <cerrno>
 #include <charconv>
 #include <cmath>
 #include <iostream>
 
 #include "commands/commands.h"
 #include "commands/policy.h"
-#include "terse/core/atomic_file.h"
-#include "terse/core/descriptor.h"
 #include "terse/core/number_text.h"
 
 namespace terse {
@@ -147,17 +144,6 @@ void AddPathToErrors(const std::string& path, const std::function<void()>& work)
   } catch (const NumericalError& error) {
     throw NumericalError(path + ": " + error.what());
   }
-}
-
-void FlushOutput() {
-  if (std::cout) errno = 0;  // else it tells why an earlier write failed
-  if (std::cout.flush()) return;
-  throw FileError("(standard output)", 0, "cannot write" + (errno != 0 ? ": " + SystemReason(errno) : ""));
-}
-
-void PrintJson(const nlohmann::ordered_json& json) {
-  std::cout << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << '\n';
-  FlushOutput();
 }
 
 std::string NearestName(const std::string& mistyped, const std::vector<std::string>& names) {

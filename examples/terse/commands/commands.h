@@ -82,12 +82,6 @@ CLI::Option* AddChoice(CLI::App& subcommand, const std::string& option, Value& t
 // Runs `work`; what it finds wrong with the graph (std::invalid_argument, NumericalError) then starts with the path.
 void AddPathToErrors(const std::string& path, const std::function<void()>& work);
 
-// Indented, on standard output. Numbers that are not finite become null.
-void PrintJson(const nlohmann::ordered_json& json);
-
-// Flushes standard output; FileError if it cannot take the text (a full disk).
-void FlushOutput();
-
 // The name nearest to a mistyped one by edit distance, or "" if none is near.
 std::string NearestName(const std::string& mistyped, const std::vector<std::string>& names);
 

@@ -6,14 +6,21 @@
 #include "commands/verbose.h"
 #include "pictures/run_report.h"
 #include "run/calibration.h"
-#include "run/compact_map_file.h"
-#include "run/compact_output.h"
 #include "run/compact_run.h"
+#include "run/compact_stats.h"
+#include "run/ground_truth.h"
 #include "run/run_statistics.h"
-#include "run/thresholds_file.h"
+#include "run/standard_output.h"
+#include "terse/compact/compact_json.h"
 #include "terse/compact/compact_map.h"
+#include "terse/compact/json_file.h"
+#include "terse/compact/map_file.h"
+#include "terse/compact/run_writer.h"
+#include "terse/compact/thresholds_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
+#include "terse/core/stamped_trajectory.h"
+#include "terse/core/writable.h"
 
 namespace terse {
 namespace {
@@ -150,7 +157,7 @@ struct Before {
 };
 
 template <class Pose>
-Before<Pose> TakeBefore(const std::optional<GraphJson>& file, const CompactCommandOptions& options) {
+Before<Pose> TakeBefore(const std::optional<CompactMapFile>& file, const CompactCommandOptions& options) {
   if (!file) return {};
   const auto* map = std::get_if<CompactMap<Pose>>(&file->map);
   if (map == nullptr) {
@@ -268,9 +275,9 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
 }
 
 // Of --continue: what is not given is as it was.
-std::optional<GraphJson> ReadContinued(CompactCommandOptions& options) {
+std::optional<CompactMapFile> ReadContinued(CompactCommandOptions& options) {
   if (options.continued.empty()) return std::nullopt;
-  GraphJson file = ReadGraphJson(options.continued + "/graph.json");
+  CompactMapFile file = ReadCompactMap(options.continued + "/graph.json");
   if (!options.strategy) options.strategy = file.strategy;
   if (options.strategy == Strategy::kRfpfl) {
     throw CLI::ValidationError("--continue", "rfpfl draws from all poses beforehand: there is nothing to continue");
@@ -286,14 +293,14 @@ void Compact(CompactCommandOptions options) {
       RunFiles("--output", options.directory),
       {{"FILE", options.path}, {"--thresholds", options.thresholds}, {"--ground-truth", options.ground_truth}});
   const double start = SecondsNow();
-  const std::optional<GraphJson> before = ReadContinued(options);
+  const std::optional<CompactMapFile> before = ReadContinued(options);
   if (!options.strategy) options.strategy = Strategy::kFpfl;
   const GraphFile file = ReadGraph(options.path, options.read);
   const double seconds_read = SecondsNow() - start;
   if (!options.quiet) ReportRepairs(file, options.path);
   std::visit([&](const auto& graph) { CheckRange(graph, options); }, file.graph);
   // Before the long run, not after it.
-  RequireFolder(options.directory);
+  RequireFolder(options.directory, "decisions.csv");
   const auto run = [&](const auto& graph) {
     using Pose = std::decay_t<decltype(*graph.Poses().front().T_world_body)>;
     RunOn(graph, TakeBefore<Pose>(before, options), options, seconds_read, start);

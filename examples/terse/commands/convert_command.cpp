@@ -6,6 +6,7 @@
 #include "commands/commands.h"
 #include "commands/output_paths.h"
 #include "run/run_statistics.h"
+#include "terse/core/stamped_trajectory.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {

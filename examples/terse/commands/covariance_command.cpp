@@ -4,16 +4,19 @@
 #include <set>
 
 #include "commands/commands.h"
+#include "commands/convention_options.h"
 #include "commands/output_paths.h"
 #include "commands/start.h"
 #include "commands/verbose.h"
-#include "run/covariance_output.h"
 #include "run/progress.h"
 #include "run/run_statistics.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/gauge.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/number_text.h"
+#include "terse/core/require_optimum.h"
+#include "terse/core/writable.h"
+#include "terse/covariance/covariance_table.h"
 #include "terse/covariance/marginals.h"
 
 namespace terse {
@@ -88,9 +91,7 @@ Point<Pose> SolvedPoint(const PoseGraph<Pose>& graph, const CovarianceCommandOpt
   };
   nlohmann::ordered_json start;
   BatchResult<Pose> result = SolveBatch(graph, StartValues(graph, InitialValues::kAuto, batch, start), batch);
-  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(result.message);
-  }
+  RequireOptimum(result);
   if (!options.quiet) {
     if (!result.Converged()) std::cerr << "terse: warning: not converged: " << result.message << '\n';
   }
@@ -193,7 +194,7 @@ void WriteMarginals(const PoseMarginals<Pose>& marginals, const PoseGraph<Pose>&
   const auto covariances =
       all ? marginals.AllMarginals(options.convention) : marginals.MarginalsOf(ids, options.convention);
   if (!options.json) {
-    WriteCovariances<Pose>(ids, covariances, options.output, options.convention.order);
+    WriteCovariances<Pose>(ids, covariances, FileOrStandardOutput(options.output), options.convention.order);
     return;
   }
   AtomicFile file(FileOrStandardOutput(options.output));

@@ -2,6 +2,7 @@
 #include <iostream>
 
 #include "commands/commands.h"
+#include "run/standard_output.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/frame_mismatch.h"
 

@@ -6,12 +6,15 @@
 #include "commands/commands.h"
 #include "commands/output_paths.h"
 #include "run/progress.h"
+#include "run/standard_output.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/generate.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/number_text.h"
 #include "terse/core/outliers.h"
+#include "terse/core/require_optimum.h"
+#include "terse/core/stamped_trajectory.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
@@ -101,9 +104,6 @@ SE3 Reckon(const SE3& T_world_from, const SE3& T_from_to) {
              Vector<3>(Rounded(p.x()), Rounded(p.y()), Rounded(p.z())));
 }
 
-SE3 InSpace(const SE2& T) { return Lift(T); }
-SE3 InSpace(const SE3& T) { return T; }
-
 // Writes each pose and edge as it comes. A vertex gets its dead-reckoned value, as the public sets have it.
 template <class Pose>
 void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ostream* ground_truth,
@@ -155,9 +155,7 @@ void GenerateScene(const GenerateCommandOptions& options) {
 template <class Pose>
 std::vector<Pose> Optimum(const PoseGraph<Pose>& graph) {
   BatchResult<Pose> result = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
-  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(result.message);
-  }
+  RequireOptimum(result);
   return std::move(result.T_world_body);
 }
 

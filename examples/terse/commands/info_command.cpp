@@ -4,6 +4,7 @@
 #include "commands/commands.h"
 #include "run/calibration.h"
 #include "run/run_statistics.h"
+#include "run/standard_output.h"
 
 namespace terse {
 namespace {

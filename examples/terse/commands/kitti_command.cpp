@@ -6,11 +6,12 @@
 #include "commands/output_paths.h"
 #include "commands/verbose.h"
 #include "pictures/run_report.h"
-#include "run/compact_output.h"
 #include "run/kitti_output.h"
 #include "run/kitti_run.h"
-#include "run/thresholds_file.h"
+#include "terse/compact/run_writer.h"
+#include "terse/compact/thresholds_file.h"
 #include "terse/core/error.h"
+#include "terse/core/writable.h"
 
 namespace terse {
 namespace {
@@ -81,6 +82,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   loops.Commit();
   if (truth.size() > 1) out.errors = ComputeKittiErrors(out.run, sequence, truth);
   WriteKittiResults(out.run, sequence, truth, out.errors, folder);
+  WriteReport({folder}, folder + "/report.html");
   if (!options.quiet) PrintKittiSummary(out.run, out.errors, folder);
   return out;
 }
@@ -93,13 +95,13 @@ void Kitti(const KittiCommandOptions& options) {
   // Before the long run, not after it.
   std::vector<SE3> truth;
   if (!options.ground_truth.empty()) truth = ReadKittiTruth(options.ground_truth, sequence, frames);
-  RequireFolder(options.directory);
+  RequireFolder(options.directory, "decisions.csv");
   if (options.search != Search::kBoth) {
     RunOnce(sequence, frames, truth, options, options.search == Search::kAppearance, options.directory);
     return;
   }
   const std::string other = options.directory + "/appearance";
-  RequireFolder(other);
+  RequireFolder(other, "decisions.csv");
   const Outcome information = RunOnce(sequence, frames, truth, options, false, options.directory);
   const Outcome appearance = RunOnce(sequence, frames, truth, options, true, other);
   WriteReport({options.directory, other}, options.directory + "/comparison.html");

@@ -5,18 +5,24 @@
 #include <sstream>
 
 #include "commands/commands.h"
+#include "commands/convention_options.h"
 #include "commands/output_paths.h"
 #include "commands/policy.h"
 #include "commands/verbose.h"
-#include "run/compact_output.h"
-#include "run/covariance_output.h"
 #include "run/journal.h"
-#include "run/json_file.h"
 #include "run/line_source.h"
 #include "run/online_json.h"
 #include "run/run_statistics.h"
-#include "run/thresholds_file.h"
+#include "run/standard_output.h"
+#include "terse/compact/compact_json.h"
+#include "terse/compact/json_file.h"
+#include "terse/compact/run_writer.h"
+#include "terse/compact/thresholds_file.h"
 #include "terse/core/measurement_line.h"
+#include "terse/core/require_optimum.h"
+#include "terse/core/stamped_trajectory.h"
+#include "terse/core/writable.h"
+#include "terse/covariance/covariance_table.h"
 
 namespace terse {
 namespace {
@@ -107,12 +113,10 @@ class OnlineRun {
     if (options_.directory.empty()) return;
     if (slam_.PosesSeen() == 0) throw FileError(kSource, 0, "no measurement came: there is nothing to write");
     const BatchResult<Pose> result = slam_.Finish();
-    if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-      throw NumericalError(result.message);
-    }
+    RequireOptimum(result);
     const std::string undetermined = slam_.Solver().DescribeUndetermined();
     if (!undetermined.empty() && !options_.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
-    WriteCompactMap(slam_, result, options_.recovery, options_.read.rotation_information, options_.directory);
+    WriteMapAndTrajectory(slam_, result, options_.recovery, options_.read.rotation_information, options_.directory);
     WriteDecisions(decisions_, options_.directory + "/decisions.csv");
   }
 
@@ -356,7 +360,7 @@ void Online(const OnlineCommandOptions& options) {
     }
   }
   CheckOutputPaths(outputs, {{"standard input", "/dev/stdin"}, {"--thresholds", options.thresholds}});
-  if (!options.directory.empty()) RequireFolder(options.directory);
+  if (!options.directory.empty()) RequireFolder(options.directory, "decisions.csv");
   std::optional<Journal> journal;
   if (!options.journal.empty()) journal.emplace(options.journal);
   Journal* const used = journal ? &*journal : nullptr;

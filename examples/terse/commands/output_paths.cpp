@@ -62,6 +62,8 @@ void CheckOutputPaths(const std::vector<NamedPath>& outputs, const std::vector<N
   }
 }
 
+std::string FileOrStandardOutput(const std::string& path) { return path == "-" ? "/dev/stdout" : path; }
+
 std::vector<NamedPath> FilesIn(const std::string& name, const std::string& folder,
                                const std::vector<std::string>& files) {
   std::vector<NamedPath> out;

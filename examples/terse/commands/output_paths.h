@@ -16,6 +16,9 @@ struct NamedPath {
 // that do not exist yet are compared by their place. What is no regular file (/dev/stdout, a pipe) may be named twice.
 void CheckOutputPaths(const std::vector<NamedPath>& outputs, const std::vector<NamedPath>& inputs);
 
+// What AtomicFile takes for the path of an option in which "-" is standard output.
+std::string FileOrStandardOutput(const std::string& path);
+
 // The files of a run (compact, kitti) in its folder, all named after the option that names the folder.
 std::vector<NamedPath> RunFiles(const std::string& name, const std::string& folder);
 // These files in the folder.

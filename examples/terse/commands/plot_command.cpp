@@ -13,10 +13,13 @@
 
 #include "commands/commands.h"
 #include "commands/output_paths.h"
+#include "pictures/compared_runs.h"
 #include "pictures/map_picture.h"
 #include "pictures/run_charts.h"
 #include "pictures/svg_chart.h"
+#include "run/standard_output.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/writable.h"
 
 namespace terse {
 namespace {
@@ -99,9 +102,7 @@ void Plot(const PlotOptions& options) {
   const std::string folder = options.output.empty() ? options.folders.front() : options.output;
   CheckPictures(options, folder);
   const std::vector<RunFolder> runs = ReadRunFolders(options.folders);
-  std::error_code error;
-  std::filesystem::create_directories(folder, error);
-  if (!std::filesystem::is_directory(folder)) throw FileError(folder, 0, "cannot make this folder: " + error.message());
+  RequireFolder(folder, options.what.front() + ".svg");
   for (const std::string& what : options.what) {
     const std::string stem = folder + (runs.size() > 1 ? "/comparison_" : "/") + what, svg = stem + ".svg";
     const bool keep = options.format != PictureFormat::kPng;

@@ -7,6 +7,7 @@
 #include "commands/commands.h"
 #include "commands/output_paths.h"
 #include "pictures/run_report.h"
+#include "run/standard_output.h"
 
 namespace terse {
 namespace {

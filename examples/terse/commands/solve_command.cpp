@@ -4,20 +4,26 @@
 #include <optional>
 
 #include "commands/commands.h"
+#include "commands/convention_options.h"
 #include "commands/output_paths.h"
 #include "commands/policy.h"
 #include "commands/start.h"
 #include "commands/verbose.h"
-#include "run/covariance_output.h"
 #include "run/progress.h"
 #include "run/run_statistics.h"
+#include "run/standard_output.h"
 #include "run/step_covariances.h"
+#include "terse/compact/json_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/gauge.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/replay.h"
+#include "terse/core/require_optimum.h"
 #include "terse/core/robust.h"
+#include "terse/core/stamped_trajectory.h"
+#include "terse/core/writable.h"
+#include "terse/covariance/covariance_table.h"
 #include "terse/covariance/marginals.h"
 
 namespace terse {
@@ -103,7 +109,7 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
   }
   std::optional<StepCovariances<Pose>> covariances;
   if (options.covariances == Covariances::kAllSteps) {
-    covariances.emplace(solver, options.convention, CovarianceTarget(options));
+    covariances.emplace(solver, options.convention, FileOrStandardOutput(CovarianceTarget(options)));
   }
   {
     std::optional<Progress> progress;
@@ -203,7 +209,7 @@ void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& res
   } else {
     covariances = marginals.AllMarginals(options.convention);
   }
-  WriteCovariances<Pose>(ids, covariances, CovarianceTarget(options), options.convention.order);
+  WriteCovariances<Pose>(ids, covariances, FileOrStandardOutput(CovarianceTarget(options)), options.convention.order);
 }
 
 // Not among the rows of a table on standard output.
@@ -226,9 +232,7 @@ template <class Pose>
 void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats, double start) {
   const BatchResult<Pose> result =
       options.mode == Mode::kBatch ? RunBatch(graph, options, stats) : RunIncremental(graph, options, stats);
-  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(result.message);
-  }
+  RequireOptimum(result);
   stats.poses = graph.Poses().size();
   stats.counts = CountEdges(graph);
   stats.chi2 = result.chi2;

@@ -11,10 +11,12 @@
 #include "run/ground_truth.h"
 #include "run/progress.h"
 #include "run/run_statistics.h"
-#include "run/thresholds_file.h"
+#include "run/standard_output.h"
 #include "tables/text_table.h"
+#include "terse/compact/thresholds_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/number_text.h"
+#include "terse/core/writable.h"
 
 namespace terse {
 namespace {

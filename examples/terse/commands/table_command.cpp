@@ -13,6 +13,7 @@
 #include "run/ground_truth.h"
 #include "run/progress.h"
 #include "run/run_statistics.h"
+#include "run/standard_output.h"
 #include "terse/core/error.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/replay.h"

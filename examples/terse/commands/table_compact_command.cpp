@@ -8,12 +8,15 @@
 #include "commands/output_paths.h"
 #include "pictures/run_report.h"
 #include "run/run_statistics.h"
+#include "run/standard_output.h"
 #include "tables/compact_figures.h"
 #include "tables/compact_table.h"
 #include "tables/compact_table_text.h"
 #include "tables/document.h"
 #include "tables/text_table.h"
+#include "terse/compact/json_file.h"
 #include "terse/core/error.h"
+#include "terse/core/writable.h"
 
 namespace terse {
 namespace {
@@ -37,14 +40,6 @@ std::vector<CompactGraphName> Chosen(const std::vector<std::string>& graphs) {
     if (graphs.empty() || is_chosen) out.push_back(name);
   }
   return out;
-}
-
-void MakeFolder(const std::string& folder) {
-  std::error_code error;
-  std::filesystem::create_directories(folder, error);
-  if (!std::filesystem::is_directory(folder)) {
-    throw FileError(folder, 0, "cannot make this folder: " + (error ? error.message() : "a file is in the way"));
-  }
 }
 
 CompactTableRow RunGraph(const CompactGraphName& name, const Options& options) {
@@ -78,7 +73,7 @@ void RunTable(const Options& options) {
   std::vector<NamedPath> outputs{{"--update", options.update}};
   if (!options.output.empty()) outputs.push_back({"--output", options.output + "/tables.json"});
   CheckOutputPaths(outputs, inputs);
-  if (!options.output.empty()) MakeFolder(options.output);
+  if (!options.output.empty()) RequireFolder(options.output, "tables.json");
   if (!options.update.empty()) RequirePlace(options.update, kMark);
   std::vector<CompactTableRow> rows;
   std::vector<std::string> files;

@@ -160,9 +160,8 @@ class MapPicture {
     const double left = view_.Left(panel);
     Text(left, 24, run.name, " font-size=\"15\" font-weight=\"600\"");
     Text(left, 44, text);
-    const auto errors = run.stats.find("errors");
-    if (errors == run.stats.end() || !errors->contains("ate_m") || !errors->at("ate_m").is_number()) return;
-    std::snprintf(text, sizeof text, "ATE %.3g m", errors->at("ate_m").get<double>());
+    if (!run.ate_m) return;
+    std::snprintf(text, sizeof text, "ATE %.3g m", *run.ate_m);
     Text(left + view_.PanelWidth(), 44, text, " text-anchor=\"end\"");
   }
 

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "run/run_folder.h"
+#include "terse/compact/run_folder.h"
 
 namespace terse {
 

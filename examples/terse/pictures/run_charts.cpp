@@ -13,12 +13,8 @@ std::string LineName(const std::vector<RunFolder>& runs, const RunFolder& run, c
   return runs.size() == 1 ? what : run.name + ", " + what;
 }
 
-double NumberAt(const nlohmann::ordered_json& object, const char* key) {
-  const auto found = object.find(key);
-  return found != object.end() && found->is_number() ? found->get<double>() : NAN;
-}
-
-ChartLine Threshold(const std::string& name, double value, const RunFolder& run) {
+ChartLine Threshold(const std::string& name, std::optional<double> threshold, const RunFolder& run) {
+  const double value = threshold.value_or(NAN);
   ChartLine line{name, {1, static_cast<double>(run.ids.size())}, {value, value}};
   line.dashed = true;
   return line;
@@ -64,29 +60,29 @@ std::string DrawGains(const std::vector<RunFolder>& runs) {
   for (const RunFolder& run : runs) {
     ChartLine accepted{LineName(runs, run, "accepted"), {}, {}}, rejected{LineName(runs, run, "not accepted"), {}, {}};
     for (std::size_t k = 0; k < run.decisions.size(); ++k) {
-      for (const auto& candidate : run.decisions[k].at("candidates")) {
-        if (!candidate.at("measured_gain_nats").is_number()) continue;
-        ChartLine& line = candidate.at("accepted").get<bool>() ? accepted : rejected;
+      for (const RunCandidate& candidate : run.decisions[k].candidates) {
+        if (!candidate.measured_gain) continue;
+        ChartLine& line = candidate.accepted ? accepted : rejected;
         line.x.push_back(static_cast<double>(k + 1));
-        line.y.push_back(candidate.at("measured_gain_nats").get<double>());
+        line.y.push_back(*candidate.measured_gain);
       }
     }
     ChartLine kept{LineName(runs, run, "kept"), {}, {}}, dropped{LineName(runs, run, "dropped"), {}, {}};
     for (std::size_t k = 0; k < run.decisions.size(); ++k) {
-      if (!run.decisions[k].at("pose_gain_nats").is_number()) continue;
+      if (!run.decisions[k].pose_gain) continue;
       ChartLine& line = run.kept[k] != 0 ? kept : dropped;
       line.x.push_back(static_cast<double>(k + 1));
-      line.y.push_back(run.decisions[k].at("pose_gain_nats").get<double>());
+      line.y.push_back(*run.decisions[k].pose_gain);
     }
     for (ChartLine* line : {&accepted, &rejected}) loops.lines.push_back(Dots(*line));
     for (ChartLine* line : {&kept, &dropped}) poses.lines.push_back(Dots(*line));
     // A strategy that asks for no gains has no thresholds either.
     const std::string threshold = LineName(runs, run, "threshold");
     if (accepted.x.size() + rejected.x.size() > 0) {
-      loops.lines.push_back(Threshold(threshold, NumberAt(run.thresholds, "min_loop_gain"), run));
+      loops.lines.push_back(Threshold(threshold, run.min_loop_gain, run));
     }
     if (kept.x.size() + dropped.x.size() > 0) {
-      poses.lines.push_back(Threshold(threshold, NumberAt(run.thresholds, "min_pose_gain"), run));
+      poses.lines.push_back(Threshold(threshold, run.min_pose_gain, run));
     }
   }
   return DrawCharts("Information gains, " + Names(runs), {loops, poses});

@@ -6,9 +6,11 @@
 #include <cstdlib>
 #include <unordered_map>
 
+#include "pictures/compared_runs.h"
 #include "pictures/report_page.h"
 #include "pictures/svg_chart.h"
 #include "terse/compact/decision.h"
+#include "terse/compact/json_file.h"
 
 namespace terse {
 namespace {
@@ -23,7 +25,7 @@ Json Short(double value) {
   return std::strtod(text, nullptr);
 }
 Json Short(const std::optional<double>& value) { return value ? Short(*value) : Json(nullptr); }
-Json Short(const nlohmann::json& value) { return value.is_number() ? Short(value.get<double>()) : Json(nullptr); }
+Json Flag(const std::optional<bool>& value) { return value ? Json(*value ? 1 : 0) : Json(); }
 
 Json Positions(const std::vector<SE3>& poses) {
   Json out;
@@ -50,10 +52,8 @@ Json Poses(const RunFolder& run) {
   out["kept"] = Json::array();
   for (const char kept : run.kept) out["kept"].push_back(static_cast<int>(kept));
   out["verdict"] = Json::array();
-  for (const auto& decision : run.decisions) {
-    const auto& verdict = decision.at("verdict");  // null before the decisions that are known
-    const auto at =
-        std::find(Verdicts().begin(), Verdicts().end(), verdict.is_string() ? verdict.get<std::string>() : "");
+  for (const RunDecision& decision : run.decisions) {
+    const auto at = std::find(Verdicts().begin(), Verdicts().end(), decision.verdict.value_or(""));
     out["verdict"].push_back(at != Verdicts().end() ? Json(at - Verdicts().begin()) : Json(nullptr));
   }
   out.update(Positions(run.T_world_body));
@@ -87,29 +87,20 @@ Json Chain(const RunFolder& run) {
 }
 
 Json Decisions(const RunFolder& run) {
-  std::unordered_map<std::int64_t, std::size_t> index;
-  for (std::size_t k = 0; k < run.ids.size(); ++k) index[run.ids[k]] = k;
   Json out = {{"pose_gain", Json::array()},
               {"registrations", Json::array()},
               {"accepted", Json::array()},
               {"refused", Json::array()},
               {"candidates", Json::array()}};
-  for (const auto& decision : run.decisions) {
-    out["pose_gain"].push_back(Short(decision.at("pose_gain_nats")));
-    out["registrations"].push_back(decision.at("registrations_tried").get<std::int64_t>());
-    out["accepted"].push_back(decision.at("links_accepted").get<std::int64_t>());
-    out["refused"].push_back(decision.at("links_refused").get<std::int64_t>());
+  for (const RunDecision& decision : run.decisions) {
+    out["pose_gain"].push_back(Short(decision.pose_gain));
+    out["registrations"].push_back(decision.registrations_tried);
+    out["accepted"].push_back(decision.links_accepted);
+    out["refused"].push_back(decision.links_refused);
     Json candidates = Json::array();
-    for (const auto& c : decision.at("candidates")) {
-      // Absent in folders of earlier versions.
-      const auto flag = [&c](const char* key) {
-        const auto found = c.find(key);
-        return found != c.end() && found->is_boolean() ? Json(found->get<bool>() ? 1 : 0) : Json();
-      };
-      candidates.push_back({index.at(c.at("id").get<std::int64_t>()), Short(c.at("probability")),
-                            Short(c.at("gain_nats")), Short(c.at("measured_gain_nats")),
-                            c.at("accepted").get<bool>() ? 1 : 0, Short(c.at("innovation")), flag("tried"),
-                            flag("measured")});
+    for (const RunCandidate& c : decision.candidates) {
+      candidates.push_back({c.pose, Short(c.probability), Short(c.gain), Short(c.measured_gain), c.accepted ? 1 : 0,
+                            Short(c.innovation), Flag(c.tried), Flag(c.measured)});
     }
     out["candidates"].push_back(std::move(candidates));
   }
@@ -155,9 +146,9 @@ Json ToJson(const RunFolder& run) {
   // That of compact runs, which the command offers no choice of.
   out["gate"] = "newton_decrement";
   out["gate_unit"] = "share of chi2";
-  out["thresholds"] = run.thresholds;
+  out["thresholds"] = ParseJson<Json>(run.thresholds_json, run.path + "/thresholds.json");
   out["thresholds"].erase("link_covariance");
-  out["stats"] = run.stats;
+  out["stats"] = ParseJson<Json>(run.stats_json, run.path + "/stats.json");
   return out;
 }
 

@@ -1,10 +1,11 @@
 #pragma once
 // The report of a run as one HTML file that needs nothing else: examples/report, with the runs' data in it.
 
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
-#include "run/run_folder.h"
+#include "terse/compact/run_folder.h"
 
 namespace terse {
 

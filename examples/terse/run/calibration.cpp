@@ -1,7 +1,6 @@
 #include "run/calibration.h"
 
-#include "terse/core/atomic_file.h"
-#include "terse/core/number_text.h"
+#include "terse/compact/compact_json.h"
 
 namespace terse {
 namespace {
@@ -9,9 +8,6 @@ namespace {
 using nlohmann::ordered_json;
 
 ordered_json ToJson(const SigmaSpread& spread) { return {spread.low, spread.median, spread.high}; }
-ordered_json ToJson(const KindScale& scale) {
-  return {{"translation", scale.translation}, {"rotation", scale.rotation}};
-}
 ordered_json ToJson(const ScaleEstimate& found) {
   return {{"sigma_factor", found.sigma_factor},
           {"log_error", found.log_error},
@@ -34,10 +30,6 @@ ordered_json ToJson(const StatedKind& stated, const KindEstimate& found) {
 }
 
 }  // namespace
-
-nlohmann::ordered_json ToJson(const InformationScale& scale) {
-  return {{"odometry", ToJson(scale.odometry)}, {"loops", ToJson(scale.loops)}};
-}
 
 nlohmann::ordered_json ToJson(const InformationCalibration& calibration) {
   const InformationEstimate& found = calibration.estimate;
@@ -82,15 +74,6 @@ std::string InformationInWords(const InformationCalibration& calibration) {
   }
   if (!is_identity && stated.IsPlaceholder()) text += ", with implausible standard deviations";
   return text + "; " + calibration.message;
-}
-
-std::string InformationComment(const InformationScale& scale) {
-  if (scale.IsOne()) return "";
-  const auto kind = [](const KindScale& s) {
-    return Shortest(s.translation) + " (translation) and " + Shortest(s.rotation) + " (rotation)";
-  };
-  return "information calibrated by terse: the input's standard deviations times " + kind(scale.odometry) +
-         " of odometry, " + kind(scale.loops) + " of loops";
 }
 
 }  // namespace terse

@@ -10,15 +10,11 @@
 namespace terse {
 
 // `information` of stats.json: docs/outputs.md.
-nlohmann::ordered_json ToJson(const InformationScale& scale);
 nlohmann::ordered_json ToJson(const InformationCalibration& calibration);
 
 // What the information looks like and whether the residuals agree with it, for people.
 std::string InformationInWords(const InformationCalibration& calibration);
 // "0.1 m (0.08 to 0.2), 1.2 deg (1 to 1.3)": median, 10th and 90th percentile.
 std::string SigmasInWords(const StatedKind& stated);
-
-// Which information a written graph carries, for the first line of its file; "" if it is the input's.
-std::string InformationComment(const InformationScale& scale);
 
 }  // namespace terse

@@ -8,7 +8,7 @@
 #include "terse/compact/graph_replay.h"
 #include "terse/core/error.h"
 #include "terse/core/initial_values.h"
-#include "terse/core/trajectory.h"
+#include "terse/core/stamped_trajectory.h"
 
 namespace terse {
 namespace {
@@ -56,9 +56,6 @@ PoseError ErrorToNext(const std::vector<SE3>& estimate, const std::vector<SE3>& 
 }
 
 }  // namespace
-
-SE3 InSpace(const SE2& T_a_b) { return Lift(T_a_b); }
-SE3 InSpace(const SE3& T_a_b) { return T_a_b; }
 
 const char* Name(ReferenceKind kind) {
   switch (kind) {

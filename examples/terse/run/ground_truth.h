@@ -3,10 +3,9 @@
 
 #include <optional>
 #include <string>
-#include <unordered_map>
 #include <vector>
 
-#include "terse/compact/compact_pose_slam.h"
+#include "terse/compact/run_steps.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/pose_graph.h"
@@ -34,9 +33,7 @@ std::optional<std::vector<SE2>> GridTruth(const PoseGraph<SE2>& graph);
 // not 0..2499, or an edge disagrees by 5 m or a half radian.
 std::optional<std::vector<SE3>> SphereTruth(const PoseGraph<SE3>& graph);
 
-// True poses by id.
-using TruePoses = std::unordered_map<std::int64_t, SE3>;
-// Those of the ids, as ReadTruth says; of a 2D map within its plane.
+// Of the ids, as ReadTruth says; of a 2D map within its plane.
 template <class Pose>
 TruePoses ReadTruePoses(std::vector<PoseId> ids, const std::string& path);
 
@@ -44,9 +41,6 @@ TruePoses ReadTruePoses(std::vector<PoseId> ids, const std::string& path);
 // std::invalid_argument if a pose of the graph is not there.
 template <class Pose>
 std::vector<Pose> ReadTruth(const PoseGraph<Pose>& graph, const std::string& path);
-
-SE3 InSpace(const SE2& T_a_b);
-SE3 InSpace(const SE3& T_a_b);
 
 // The better of two starts (the values in the file if all are there, chordal), as the file's values lead to a local
 // minimum on some graphs. Throws NumericalError if neither converges.

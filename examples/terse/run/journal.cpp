@@ -11,7 +11,7 @@
 #include <cstdint>
 #include <filesystem>
 
-#include "run/crc32.h"
+#include "terse/core/crc32.h"
 #include "terse/core/descriptor.h"
 #include "terse/core/error.h"
 #include "terse/core/limits.h"

@@ -5,10 +5,10 @@
 #include <cstdio>
 #include <iostream>
 
-#include "commands/commands.h"
-#include "pictures/run_report.h"
-#include "run/compact_output.h"
 #include "run/run_statistics.h"
+#include "run/standard_output.h"
+#include "terse/compact/json_file.h"
+#include "terse/compact/run_writer.h"
 #include "terse/core/number_text.h"
 
 namespace terse {
@@ -158,7 +158,6 @@ void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const
   WriteKitti(Stamped(TrajectoryFormat::kKitti, OdometryTrajectory(run, sequence), run, sequence),
              folder + "/odometry.kitti.txt");
   WriteJson(StatsToJson(run, sequence, errors), folder + "/stats.json");
-  WriteReport({folder}, folder + "/report.html");
 }
 
 void PrintKittiSummary(const KittiRun& run, const std::optional<KittiErrors>& errors, const std::string& folder) {

@@ -6,6 +6,7 @@
 #include "run/progress.h"
 #include "run/run_statistics.h"
 #include "terse/core/error.h"
+#include "terse/core/require_optimum.h"
 
 namespace terse {
 namespace {
@@ -110,9 +111,7 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
   }
   run.steps = recorder.Steps();
   run.result = run.slam.Finish();
-  if (run.result.termination == Termination::kNotPositiveDefinite || run.result.termination == Termination::kDiverged) {
-    throw NumericalError(run.result.message);
-  }
+  RequireOptimum(run.result);
   return run;
 }
 

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "run/compact_steps.h"
+#include "terse/compact/run_steps.h"
 #include "terse/core/evaluate.h"
 #include "terse/frontend/kitti_sequence.h"
 #include "terse/frontend/stereo_slam.h"

@@ -1,6 +1,6 @@
 #include "run/online_json.h"
 
-#include "run/covariance_output.h"
+#include "terse/covariance/covariance_table.h"
 
 namespace terse {
 namespace {

@@ -6,13 +6,8 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <iostream>
-#include <numeric>
 #include <set>
-#include <stdexcept>
 
-#include "commands/commands.h"
-#include "terse/core/atomic_file.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/number_text.h"
 
@@ -39,15 +34,6 @@ bool EndsWith(const std::string& text, const std::string& ending) {
 }
 
 }  // namespace
-
-void RequireWritable(const std::string& path) {
-  namespace fs = std::filesystem;
-  std::error_code error;
-  const fs::file_status status = fs::status(path, error);
-  // Merely opening a pipe would already be seen at its other end.
-  if (path.empty() || (fs::exists(status) && !fs::is_regular_file(status) && !fs::is_directory(status))) return;
-  AtomicFile file(path);  // removed again
-}
 
 double SecondsNow() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -101,12 +87,6 @@ nlohmann::ordered_json ToJson(const Stats& stats) {
   return json;
 }
 
-void WriteJson(const nlohmann::ordered_json& json, const std::string& path) {
-  AtomicFile file(path);
-  file.Stream() << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << '\n';
-  file.Commit();
-}
-
 namespace {
 
 const char* Name(FactorPath path) {
@@ -140,31 +120,6 @@ void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factor
       << Shortest(r.paper_update_flops) << ',' << Shortest(r.paper_solve_flops) << ',' << Shortest(r.seconds) << '\n';
 }
 
-void RequireStampId(PoseId id) {
-  constexpr std::int64_t kMost = std::int64_t{1} << 53;
-  if (id.value >= -kMost && id.value <= kMost) return;  // -2^63 has no absolute value
-  throw std::invalid_argument("pose " + std::to_string(id.value) +
-                              ": ids beyond 2^53 do not fit into the stamps of a trajectory");
-}
-
-template <class Pose>
-Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body) {
-  std::vector<std::size_t> order(ids.size());
-  std::iota(order.begin(), order.end(), 0);
-  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return ids[a] < ids[b]; });
-  Trajectory trajectory;
-  for (const std::size_t k : order) {
-    RequireStampId(ids[k]);
-    trajectory.stamps.push_back(static_cast<double>(ids[k].value));
-    if constexpr (Pose::kDim == 2) {
-      trajectory.T_world_body.push_back(Lift(T_world_body[k]));
-    } else {
-      trajectory.T_world_body.push_back(T_world_body[k]);
-    }
-  }
-  return trajectory;
-}
-
 void WriteTrajectory(const Trajectory& trajectory, const std::string& path) {
   const bool kitti = EndsWith(path, ".kitti") || EndsWith(path, ".txt");
   kitti ? WriteKitti(trajectory, path) : WriteTum(trajectory, path);
@@ -178,11 +133,7 @@ std::string FindTrajectoryPathDefect(const std::string& path) {
   return path + ": the extension must be .tum, .kitti or .txt (KITTI)";
 }
 
-#define TERSE_INSTANTIATE(Pose)                                 \
-  template EdgeCounts CountEdges<Pose>(const PoseGraph<Pose>&); \
-  template Trajectory MakeTrajectory<Pose>(const std::vector<PoseId>&, const std::vector<Pose>&);
-TERSE_INSTANTIATE(SE2)
-TERSE_INSTANTIATE(SE3)
-#undef TERSE_INSTANTIATE
+template EdgeCounts CountEdges<SE2>(const PoseGraph<SE2>&);
+template EdgeCounts CountEdges<SE3>(const PoseGraph<SE3>&);
 
 }  // namespace terse

@@ -36,24 +36,15 @@ struct Stats {
   nlohmann::ordered_json more;  // further keys of the subcommand
 };
 nlohmann::ordered_json ToJson(const Stats& stats);
-void WriteJson(const nlohmann::ordered_json& json, const std::string& path);
 
 // Comma-separated values, a row per step of an incremental run: docs/outputs.md. `poses` and `factors`: in the graph by
 // then.
 void WriteStepsHeader(std::ostream& out);
 void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, std::ostream& out);
 
-// Throws FileError if a file could not be written there: before a long run, not after it. Does nothing for "".
-void RequireWritable(const std::string& path);
-
 // A clock for one phase.
 double SecondsNow();
 
-// Throws std::invalid_argument for an id beyond 2^53, where neighbouring ids would become the same stamp.
-void RequireStampId(PoseId id);
-// Poses by ascending id, ids for stamps.
-template <class Pose>
-Trajectory MakeTrajectory(const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body);
 // KITTI if the path ends in .kitti or .txt, else TUM.
 void WriteTrajectory(const Trajectory& trajectory, const std::string& path);
 // The cause if the ending of a path tells neither, else empty. No ending (a pipe, standard output) is TUM.

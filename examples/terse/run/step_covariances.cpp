@@ -1,15 +1,15 @@
 #include "run/step_covariances.h"
 
-#include "run/covariance_output.h"
 #include "run/run_statistics.h"
 #include "terse/core/number_text.h"
+#include "terse/covariance/covariance_table.h"
 
 namespace terse {
 
 template <class Pose>
 StepCovariances<Pose>::StepCovariances(const IncrementalSolver<Pose>& solver, const CovarianceConvention& convention,
                                        const std::string& path)
-    : solver_(&solver), convention_(convention), marginals_(solver), file_(FileOrStandardOutput(path)) {
+    : solver_(&solver), convention_(convention), marginals_(solver), file_(path) {
   file_.Stream() << "step,poses,path,columns,drift,seconds,position_variance_sum,rotation_variance_sum,id";
   WriteEntryNames(TangentNames<Pose>(convention.order), file_.Stream());
   file_.Stream() << '\n';

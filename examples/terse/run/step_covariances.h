@@ -14,7 +14,7 @@ namespace terse {
 template <class Pose>
 class StepCovariances {
  public:
-  // "-" is standard output.
+  // Throws FileError.
   StepCovariances(const IncrementalSolver<Pose>& solver, const CovarianceConvention& convention,
                   const std::string& path);
   // After every step of the solver; `step` counts from 1.

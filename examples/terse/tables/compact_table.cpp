@@ -3,11 +3,15 @@
 #include <algorithm>
 
 #include "pictures/run_report.h"
-#include "run/compact_output.h"
 #include "run/compact_run.h"
-#include "run/compact_steps.h"
+#include "run/compact_stats.h"
 #include "run/progress.h"
 #include "run/run_statistics.h"
+#include "terse/compact/json_file.h"
+#include "terse/compact/run_steps.h"
+#include "terse/compact/run_writer.h"
+#include "terse/core/stamped_trajectory.h"
+#include "terse/core/writable.h"
 #include "terse/covariance/incremental_marginals.h"
 
 namespace terse {
@@ -113,7 +117,7 @@ class TableRun {
 
   void WriteFolder(const CompactRun<Pose>& run, const std::vector<CompactStep>& steps) const {
     const std::string folder = options_.folder + '/' + row_.graph + '/' + Name(run.slam.Options().strategy);
-    RequireFolder(folder);
+    RequireFolder(folder, "decisions.csv");
     const RunTrajectories trajectories = MakeRunTrajectories(run.slam, Recovery::kV2, truth_ ? &*truth_ : nullptr);
     Stats stats = MakeStats(named_.graph, run, EvaluateRun(trajectories, Pose::kDim));
     stats.seconds_covariance = WriteRun<Pose>({run.slam, run.result, run.decisions, steps, trajectories}, folder);

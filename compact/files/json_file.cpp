@@ -1,8 +1,9 @@
-#include "run/json_file.h"
+#include "terse/compact/json_file.h"
 
 #include <algorithm>
 #include <cstddef>
 
+#include "terse/core/atomic_file.h"
 #include "terse/core/read_file.h"
 
 namespace terse {
@@ -53,19 +54,27 @@ Json ParseJson(std::string_view text, const std::string& path, long line) {
 }
 
 template <class Json>
-Json ReadJsonObject(const std::string& path, const std::string& what) {
+Json ReadJsonObject(const std::string& path, const std::string& what, std::string* text) {
   const auto expect_text = [&](std::string_view start) {
     if (start.find('\0') == std::string_view::npos) return;
     throw FileError(path, 0, "a binary file (it holds a zero byte), expected " + what + " as a JSON object");
   };
-  Json object = ParseJson<Json>(ReadAll(path, {MostFileBytes(kMostJsonBytes, 32), expect_text}), path);
+  std::string content = ReadAll(path, {MostFileBytes(kMostJsonBytes, 32), expect_text});
+  Json object = ParseJson<Json>(content, path);
+  if (text != nullptr) *text = std::move(content);
   if (object.is_object()) return object;
   throw FileError(path, 0, "expected " + what + " as a JSON object, found " + object.type_name());
 }
 
+void WriteJson(const nlohmann::ordered_json& json, const std::string& path) {
+  AtomicFile file(path);
+  file.Stream() << json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) << '\n';
+  file.Commit();
+}
+
 #define TERSE_INSTANTIATE(Json)                                              \
   template Json ParseJson<Json>(std::string_view, const std::string&, long); \
-  template Json ReadJsonObject<Json>(const std::string&, const std::string&);
+  template Json ReadJsonObject<Json>(const std::string&, const std::string&, std::string*);
 TERSE_INSTANTIATE(nlohmann::json)
 TERSE_INSTANTIATE(nlohmann::ordered_json)
 #undef TERSE_INSTANTIATE

@@ -1,10 +1,10 @@
 #pragma once
-// Thresholds of a compact run as a JSON file, which `compact --auto-thresholds` writes and --thresholds reads:
+// Thresholds of a compact run as a JSON file, thresholds.json of its folder:
 //   {"dimension": 3, "range": [X, Y, Z, ANGLE], "probability": S, "min_loop_gain": G, "min_pose_gain": G,
 //    "link_covariance": [6 rows of 6]}
-// In 2D X, Y, ANGLE and 3 rows of 3. Every number reads back to the last bit. Keys beyond these are ignored.
+// In 2D X, Y, ANGLE and 3 rows of 3; metres, radians, nats. Every number reads back to the last bit. Keys beyond these
+// are ignored.
 
-#include <nlohmann/json.hpp>
 #include <string>
 
 #include "terse/compact/compact_options.h"
@@ -17,9 +17,7 @@ int ReadThresholdsDimension(const std::string& path);
 template <class Pose>
 void ReadThresholds(const std::string& path, CompactOptions<Pose>& options);
 
-template <class Pose>
-nlohmann::ordered_json ThresholdsToJson(const CompactOptions<Pose>& options);
-// Throws FileError.
+// Written whole or not at all. Throws FileError.
 template <class Pose>
 void WriteThresholds(const CompactOptions<Pose>& options, const std::string& path);
 

@@ -1,10 +1,10 @@
-#include "run/npz_file.h"
+#include "npz_file.h"
 
 #include <cstring>
 #include <limits>
 
-#include "run/crc32.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/crc32.h"
 
 namespace terse {
 namespace {

@@ -5,10 +5,10 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
-#include "run/ground_truth.h"
 #include "terse/compact/compact_pose_slam.h"
 
 namespace terse {
@@ -26,6 +26,9 @@ struct CompactStep {
   std::optional<std::int64_t> hessian_nonzeros, factor_nonzeros;
   std::optional<double> ate_m;
 };
+
+// True poses by id; those of a 2D map within its plane.
+using TruePoses = std::unordered_map<std::int64_t, SE3>;
 
 // Gathers them while a run goes on. Costs little: what takes time is taken at some 300 steps (the error at 100), evenly
 // spread, and at the last one.

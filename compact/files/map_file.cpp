@@ -1,10 +1,10 @@
-#include "run/compact_map_file.h"
+#include "terse/compact/map_file.h"
 
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "run/calibration.h"
-#include "run/json_file.h"
+#include "terse/compact/compact_json.h"
+#include "terse/compact/json_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/number_text.h"
@@ -321,11 +321,11 @@ InformationScale ReadScale(const Place& place) {
 
 }  // namespace
 
-GraphJson ReadGraphJson(const std::string& path) {
+CompactMapFile ReadCompactMap(const std::string& path) {
   const json object = ReadJsonObject<json>(path, "a compact map");
   const Place root(object, "", path);
   root.At("format", (std::string("\"") + kFormat + "\"").c_str()).Choice({kFormat});
-  GraphJson file;
+  CompactMapFile file;
   const Place dimension = root.At("dimension", "2 or 3");
   const std::int64_t d = dimension.Integer();
   if (d != 2 && d != 3) dimension.FailExpecting("2 or 3");
@@ -345,8 +345,8 @@ GraphJson ReadGraphJson(const std::string& path) {
 }
 
 template <class Pose>
-void WriteGraphJson(const CompactMap<Pose>& map, Strategy strategy, const std::string& path,
-                    const InformationScale& information_scale) {
+void WriteCompactMap(const CompactMap<Pose>& map, Strategy strategy, const std::string& path,
+                     const InformationScale& information_scale) {
   AtomicFile file(path);
   std::ostream& out = file.Stream();
   out << "{\"format\":\"" << kFormat << "\",\"dimension\":" << Pose::kDim << ",\"strategy\":\"" << Name(strategy)
@@ -373,7 +373,7 @@ void WriteGraphJson(const CompactMap<Pose>& map, Strategy strategy, const std::s
   file.Commit();
 }
 
-template void WriteGraphJson<SE2>(const CompactMap<SE2>&, Strategy, const std::string&, const InformationScale&);
-template void WriteGraphJson<SE3>(const CompactMap<SE3>&, Strategy, const std::string&, const InformationScale&);
+template void WriteCompactMap<SE2>(const CompactMap<SE2>&, Strategy, const std::string&, const InformationScale&);
+template void WriteCompactMap<SE3>(const CompactMap<SE3>&, Strategy, const std::string&, const InformationScale&);
 
 }  // namespace terse

@@ -1,10 +1,11 @@
-#include "run/compact_steps.h"
+#include "terse/compact/run_steps.h"
 
 #include <algorithm>
 
 #include "terse/core/atomic_file.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/number_text.h"
+#include "terse/core/stamped_trajectory.h"
 
 namespace terse {
 namespace {

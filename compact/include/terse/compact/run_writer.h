@@ -1,21 +1,19 @@
 #pragma once
-// What a compact run leaves behind: a folder of files, docs/outputs.md.
+// What a compact run leaves behind, written: the folder of files that run_folder.h reads (docs/outputs.md).
+//
+// All of it but stats.json, which counts and times what its writer knows of (the command's holds processor time, memory
+// and more). Files are written whole or not at all; those of an earlier run into the same folder are replaced.
 
 #include <optional>
 #include <string>
 #include <vector>
 
-#include "run/compact_steps.h"
-#include "run/run_statistics.h"
-#include "terse/compact/compact_graph.h"
-#include "terse/core/evaluate.h"
+#include "terse/compact/run_steps.h"
 #include "terse/core/rotation_information.h"
+#include "terse/core/trajectory.h"
 #include "terse/covariance/information_scale.h"
 
 namespace terse {
-
-// Makes the folder if it is missing. Throws FileError, also if no file could be written into it.
-void RequireFolder(const std::string& path);
 
 // Rows of a run's files, without headers, for the run that continues it.
 struct RunRows {
@@ -24,26 +22,28 @@ struct RunRows {
 // Of the folder of a run over so many poses; empty where a file is missing or has another number of rows.
 RunRows ReadRunRows(const std::string& folder, std::size_t poses);
 
+// decisions.csv. `earlier`: rows, without the header, of the run that this one continues.
 void WriteDecisions(const std::vector<Decision>& decisions, const std::string& path, const std::string& earlier = "");
+
 // compact.g2o with the values of `result` and trajectory.tum.
 template <class Pose>
-void WriteCompactMap(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result, Recovery recovery,
-                     RotationInformation rotation_information, const std::string& folder);
+void WriteMapAndTrajectory(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result, Recovery recovery,
+                           RotationInformation rotation_information, const std::string& folder);
 
 // The poses of trajectory.tum and the true ones with the same stamps.
 struct RunTrajectories {
   Trajectory estimate;
   std::optional<Trajectory> truth;
 };
+// Of all poses seen, ids for stamps. `truth` names every one of them, or is nullptr. Throws std::invalid_argument for
+// ids beyond 2^53, which are no stamps.
 template <class Pose>
 RunTrajectories MakeRunTrajectories(const CompactPoseSlam<Pose>& slam, Recovery recovery, const TruePoses* truth);
-// ATE and RPE from each pose to the next; absent without the truth of two poses at least.
-std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int dimension);
 
 template <class Pose>
 struct RunResults {
   const CompactPoseSlam<Pose>& slam;
-  const BatchResult<Pose>& result;
+  const BatchResult<Pose>& result;  // of its Finish
   const std::vector<Decision>& decisions;
   const std::vector<CompactStep>& steps;
   const RunTrajectories& trajectories;
@@ -52,12 +52,9 @@ struct RunResults {
   RunRows earlier = {};
   InformationScale information_scale = {};  // of the measurements that the run saw, against those of the file
 };
-// All files but stats.json. Returns the seconds that covariances took.
+// The folder is there (its stats.json, if any, is removed first: it is the last file of a run). Returns the seconds
+// that covariances took. Throws FileError, NumericalError.
 template <class Pose>
 double WriteRun(const RunResults<Pose>& run, const std::string& folder);
-
-// stats.json of a run over a stored graph; times but those of its steps are the caller's.
-template <class Pose>
-Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const std::optional<Evaluation>& errors);
 
 }  // namespace terse

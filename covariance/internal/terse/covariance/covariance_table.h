@@ -1,7 +1,6 @@
 #pragma once
-// Covariances on the command line: in which convention they are asked for, and how they are written.
+// Covariances as tables of comma-separated values.
 
-#include <CLI/App.hpp>
 #include <ostream>
 #include <string>
 #include <vector>
@@ -11,8 +10,6 @@
 
 namespace terse {
 
-// --frame and --order.
-std::vector<CLI::Option*> AddConventionOptions(CLI::App& subcommand, CovarianceConvention& convention);
 std::string Name(CovarianceFrame frame);
 std::string Name(TangentOrder order);
 
@@ -26,12 +23,9 @@ void RequireFinite(const MatrixX& covariance);
 void WriteEntryNames(const std::vector<std::string>& tangent_names, std::ostream& out);
 void WriteEntries(const MatrixX& covariance, std::ostream& out);
 
-// A row per pose: the id, then the covariance. The order only names the columns. "-" is standard output.
+// A row per pose: the id, then the covariance. The order only names the columns. Throws FileError.
 template <class Pose>
 void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename Pose::Jacobian>& covariances,
                       const std::string& path, TangentOrder order = TangentOrder::kTranslationFirst);
-
-// What AtomicFile takes for the path of an option in which "-" is standard output.
-std::string FileOrStandardOutput(const std::string& path);
 
 }  // namespace terse

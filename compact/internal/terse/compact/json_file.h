@@ -1,5 +1,5 @@
 #pragma once
-// JSON from files: bounded in size and depth, and what is wrong with it as a FileError.
+// JSON from files: bounded in size and depth, and what is wrong with it as a FileError; and JSON into files.
 
 #include <cstdint>
 #include <nlohmann/json.hpp>
@@ -16,9 +16,10 @@ namespace terse {
 template <class Json>
 Json ParseJson(std::string_view text, const std::string& path, long line = 1);
 
-// The same of a file that is to hold an object. `what` it is, for messages: "thresholds". Throws FileError.
+// The same of a file that is to hold an object. `what` it is, for messages: "thresholds". `text` becomes all of the
+// file, if it is given. Throws FileError.
 template <class Json>
-Json ReadJsonObject(const std::string& path, const std::string& what);
+Json ReadJsonObject(const std::string& path, const std::string& what, std::string* text = nullptr);
 
 // The whole number that a value is. Throws FileError if it is none or beyond 64 bits; nlohmann's get() converts what
 // does not fit, which has no defined result.
@@ -31,5 +32,8 @@ std::int64_t WholeNumber(const Json& value, const std::string& path, long line =
   if (text.size() > 40) text = text.substr(0, 40) + "...";
   throw FileError(path, line, text + ", expected a whole number");
 }
+
+// Indented; written whole or not at all. Throws FileError.
+void WriteJson(const nlohmann::ordered_json& json, const std::string& path);
 
 }  // namespace terse

@@ -1,20 +1,21 @@
-#include "run/compact_output.h"
+#include "terse/compact/run_writer.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <filesystem>
 
-#include "run/calibration.h"
-#include "run/compact_map_file.h"
-#include "run/covariance_output.h"
-#include "run/npz_file.h"
-#include "run/thresholds_file.h"
+#include "npz_file.h"
 #include "terse/compact/compact_map.h"
+#include "terse/compact/map_file.h"
+#include "terse/compact/thresholds_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/number_text.h"
 #include "terse/core/read_file.h"
+#include "terse/core/stamped_trajectory.h"
+#include "terse/covariance/covariance_table.h"
 #include "terse/covariance/incremental_marginals.h"
 
 namespace terse {
@@ -82,6 +83,16 @@ void WriteCovarianceArrays(const std::vector<PoseId>& ids, const std::vector<typ
   WriteNpz({MakeNpzArray("ids", numbers), MakeNpzArray("covariances", {ids.size(), kDof, kDof}, entries)}, path);
 }
 
+// Which information the graph carries, for the first line of its file; "" if it is that of the input.
+std::string InformationComment(const InformationScale& scale) {
+  if (scale.IsOne()) return "";
+  const auto kind = [](const KindScale& s) {
+    return Shortest(s.translation) + " (translation) and " + Shortest(s.rotation) + " (rotation)";
+  };
+  return "information calibrated by terse: the input's standard deviations times " + kind(scale.odometry) +
+         " of odometry, " + kind(scale.loops) + " of loops";
+}
+
 template <class Pose>
 PoseGraph<Pose> AtOptimum(PoseGraph<Pose> kept, const BatchResult<Pose>& result) {
   for (std::size_t k = 0; k < result.T_world_body.size(); ++k) kept.SetPose(kept.Poses()[k].id, result.T_world_body[k]);
@@ -89,16 +100,6 @@ PoseGraph<Pose> AtOptimum(PoseGraph<Pose> kept, const BatchResult<Pose>& result)
 }
 
 }  // namespace
-
-void RequireFolder(const std::string& path) {
-  std::error_code error;
-  std::filesystem::create_directories(path, error);
-  if (!std::filesystem::is_directory(path)) {
-    const std::string reason = std::filesystem::exists(path) ? "a file of this name is in the way" : error.message();
-    throw FileError(path, 0, "cannot make this folder: " + reason);
-  }
-  RequireWritable(path + "/decisions.csv");
-}
 
 RunRows ReadRunRows(const std::string& folder, std::size_t poses) {
   return {Rows(folder + "/decisions.csv", 1, poses), Rows(folder + "/decisions.jsonl", 0, poses),
@@ -132,8 +133,8 @@ void WriteDecisions(const std::vector<Decision>& decisions, const std::string& p
 }
 
 template <class Pose>
-void WriteCompactMap(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result, Recovery recovery,
-                     RotationInformation rotation_information, const std::string& folder) {
+void WriteMapAndTrajectory(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result, Recovery recovery,
+                           RotationInformation rotation_information, const std::string& folder) {
   WriteG2o(AtOptimum(slam.Solver().Graph(), result), folder + "/compact.g2o", rotation_information);
   WriteTum(MakeRunTrajectories(slam, recovery, nullptr).estimate, folder + "/trajectory.tum");
 }
@@ -153,14 +154,6 @@ RunTrajectories MakeRunTrajectories(const CompactPoseSlam<Pose>& slam, Recovery 
   return out;
 }
 
-std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int dimension) {
-  if (!trajectories.truth || trajectories.estimate.stamps.size() < 2) return std::nullopt;
-  EvaluateOptions how;
-  how.alignment = dimension == 2 ? Alignment::kSE2 : Alignment::kSE3;
-  how.all_pairs = false;
-  return Evaluate(trajectories.estimate.T_world_body, trajectories.truth->T_world_body, how);
-}
-
 template <class Pose>
 double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
   // Of an earlier run into the same folder: stats.json, the last file of a run, must not stand for what is half
@@ -174,7 +167,7 @@ double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
   const PoseGraph<Pose>& kept = run.slam.Solver().Graph();
   WriteG2o(AtOptimum(kept, run.result), folder + "/compact.g2o", run.rotation_information,
            InformationComment(run.information_scale));
-  WriteGraphJson(run.slam.Export(run.recovery), options.strategy, folder + "/graph.json", run.information_scale);
+  WriteCompactMap(run.slam.Export(run.recovery), options.strategy, folder + "/graph.json", run.information_scale);
   WriteTum(run.trajectories.estimate, folder + "/trajectory.tum");
   if (run.trajectories.truth) WriteTum(*run.trajectories.truth, folder + "/ground_truth.tum");
   WriteDecisions(run.decisions, folder + "/decisions.csv", run.earlier.decisions_csv);
@@ -182,54 +175,21 @@ double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
   WriteCompactSteps(run.steps, run.earlier.steps_csv, folder + "/steps.csv");
   std::vector<PoseId> ids;
   for (const auto& node : kept.Poses()) ids.push_back(node.id);
-  const double before = SecondsNow();
+  using Clock = std::chrono::steady_clock;
+  const Clock::time_point before = Clock::now();
   // Finish left the solver at the optimum, with the weights of its loops.
   const auto covariances = IncrementalMarginals<Pose>(run.slam.Solver()).AllMarginals();
-  const double seconds = SecondsNow() - before;
+  const double seconds = std::chrono::duration<double>(Clock::now() - before).count();
   WriteCovariances<Pose>(ids, covariances, folder + "/covariances.csv");
   WriteCovarianceArrays<Pose>(ids, covariances, folder + "/covariances.npz");
   return seconds;
 }
 
-template <class Pose>
-Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const std::optional<Evaluation>& errors) {
-  Stats stats;
-  const EdgeCounts kept = CountEdges(run.slam.Solver().Graph());
-  stats.poses = static_cast<std::size_t>(run.slam.PosesSeen());
-  stats.counts = CountEdges(graph);
-  stats.step_seconds = run.step_seconds;
-  stats.chi2 = run.result.chi2;
-  stats.normalized_chi2 = kept.scalars > 0 ? run.result.chi2 / static_cast<double>(kept.scalars) : 0;
-  stats.log_determinant = run.result.log_determinant;
-  stats.iterations = run.result.iterations;
-  stats.converged = run.result.Converged();
-  stats.termination = Name(run.result.termination);
-  stats.phases = run.slam.Solver().Seconds();
-  stats.more["strategy"] = Name(run.slam.Options().strategy);
-  stats.more["poses_kept"] = run.PosesKept();
-  stats.more["links_kept"] = run.LinksKept();
-  stats.more["links_offered"] = run.links_offered;
-  stats.more["registrations_tried"] = run.registrations_tried;
-  stats.more["links_refused"] = run.links_refused;
-  stats.more["restarts"] = run.slam.Solver().Restarts();
-  nlohmann::ordered_json thresholds = ThresholdsToJson(run.slam.Options());
-  thresholds.erase("link_covariance");
-  stats.more["thresholds"] = std::move(thresholds);
-  if (errors) {
-    stats.more["errors"] = {{"ate_m", errors->ate.translation_m},
-                            {"ate_deg", errors->ate.rotation_deg},
-                            {"rpe_m", errors->rpe.translation_m},
-                            {"rpe_deg", errors->rpe.rotation_deg}};
-  }
-  return stats;
-}
-
 #define TERSE_INSTANTIATE(Pose)                                                                                 \
-  template void WriteCompactMap<Pose>(const CompactPoseSlam<Pose>&, const BatchResult<Pose>&, Recovery,         \
-                                      RotationInformation, const std::string&);                                 \
+  template void WriteMapAndTrajectory<Pose>(const CompactPoseSlam<Pose>&, const BatchResult<Pose>&, Recovery,   \
+                                            RotationInformation, const std::string&);                           \
   template RunTrajectories MakeRunTrajectories<Pose>(const CompactPoseSlam<Pose>&, Recovery, const TruePoses*); \
-  template double WriteRun<Pose>(const RunResults<Pose>&, const std::string&);                                  \
-  template Stats MakeStats<Pose>(const PoseGraph<Pose>&, const CompactRun<Pose>&, const std::optional<Evaluation>&);
+  template double WriteRun<Pose>(const RunResults<Pose>&, const std::string&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

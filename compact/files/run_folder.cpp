@@ -1,4 +1,4 @@
-#include "run/run_folder.h"
+#include "terse/compact/run_folder.h"
 
 #include <algorithm>
 #include <charconv>
@@ -8,7 +8,7 @@
 #include <sstream>
 #include <unordered_map>
 
-#include "run/json_file.h"
+#include "terse/compact/json_file.h"
 #include "terse/core/error.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/read_file.h"
@@ -52,9 +52,22 @@ std::optional<double> Optional(const nlohmann::json& value) {
   return value.is_number() ? std::optional<double>(value.get<double>()) : std::nullopt;
 }
 
+std::optional<bool> Flag(const nlohmann::json& object, const char* key) {
+  const auto found = object.find(key);
+  return found != object.end() && found->is_boolean() ? std::optional<bool>(found->get<bool>()) : std::nullopt;
+}
+
+// The number behind a key, if there is one.
+template <class Json>
+std::optional<double> NumberAt(const Json& object, const char* key) {
+  const auto found = object.find(key);
+  return found != object.end() && found->is_number() ? std::optional<double>(found->template get<double>())
+                                                     : std::nullopt;
+}
+
 class Reader {
  public:
-  explicit Reader(RunFolder& run) : run_(run) {}
+  Reader(RunFolder& run, const nlohmann::ordered_json& stats) : run_(run), stats_(stats) {}
 
   void ReadPoses(const nlohmann::json& graph) {
     const std::string path = run_.path + "/graph.json";
@@ -112,43 +125,18 @@ class Reader {
   void ReadDecisions(const std::string& path) {
     std::istringstream lines(ReadText(Present(path)));
     long number = 0;
-    run_.decisions = nlohmann::json::array();
+    std::vector<std::int64_t> poses;
     for (std::string line; std::getline(lines, line);) {
       WithJsonErrors(path, ++number, [&] {
-        auto decision = ParseJson<nlohmann::json>(line, path, number);
-        // What the report and the pictures take from it.
-        WholeNumber(decision.at("pose"), path, number);
-        decision.at("verdict").get<std::string>();
-        for (const char* count : {"registrations_tried", "links_accepted", "links_refused"})
-          WholeNumber(decision.at(count), path, number);
-        decision.at("pose_gain_nats");
-        for (const auto& candidate : decision.at("candidates")) {
-          IndexOf(candidate.at("id"), path);
-          candidate.at("accepted").get<bool>();
-          for (const char* key : {"probability", "gain_nats", "measured_gain_nats", "innovation"}) candidate.at(key);
-          if (candidate.at("factor").is_null()) continue;
-          innovations_[WholeNumber(candidate.at("factor"), path, number)] = Optional(candidate.at("innovation"));
-        }
-        run_.decisions.push_back(std::move(decision));
+        const auto decision = ParseJson<nlohmann::json>(line, path, number);
+        poses.push_back(WholeNumber(decision.at("pose"), path, number));
+        run_.decisions.push_back(MakeDecision(decision, path, number));
       });
     }
-    const std::size_t before = PosesBefore(run_.decisions.size());
-    RequireCount(path, before + run_.decisions.size(), run_.ids.size());
-    nlohmann::json all = nlohmann::json::array();
-    for (std::size_t k = 0; k < before; ++k) {
-      all.push_back({{"pose", run_.ids[k]},
-                     {"verdict", nullptr},
-                     {"pose_gain_nats", nullptr},
-                     {"registrations_tried", 0},
-                     {"links_accepted", 0},
-                     {"links_refused", 0},
-                     {"candidates", nlohmann::json::array()}});
-    }
-    for (auto& decision : run_.decisions) {
-      RequirePose(path, static_cast<double>(decision.at("pose").get<std::int64_t>()), all.size());
-      all.push_back(std::move(decision));
-    }
-    run_.decisions = std::move(all);
+    const std::size_t before = PosesBefore(poses.size());
+    RequireCount(path, before + poses.size(), run_.ids.size());
+    for (std::size_t k = 0; k < poses.size(); ++k) RequirePose(path, static_cast<double>(poses[k]), before + k);
+    run_.decisions.insert(run_.decisions.begin(), before, RunDecision());
   }
 
   // A missing pose has no covariance: those of a run by the random baseline with few poses, say.
@@ -187,9 +175,8 @@ class Reader {
   // What stats.json says of the map, where it says it.
   void CheckStats(const std::string& path) const {
     const auto check = [&](const char* key, size_t count) {
-      const auto found = run_.stats.find(key);
-      if (found == run_.stats.end() || (found->is_number() && found->get<double>() == static_cast<double>(count)))
-        return;
+      const auto found = stats_.find(key);
+      if (found == stats_.end() || (found->is_number() && found->get<double>() == static_cast<double>(count))) return;
       throw FileError(path, 0,
                       std::string(key) + " is " + found->dump() + ", but graph.json beside it has " +
                           std::to_string(count) + "; the files of one run belong together");
@@ -199,6 +186,29 @@ class Reader {
   }
 
  private:
+  RunDecision MakeDecision(const nlohmann::json& from, const std::string& path, long line) {
+    RunDecision out;
+    out.verdict = from.at("verdict").get<std::string>();
+    out.registrations_tried = WholeNumber(from.at("registrations_tried"), path, line);
+    out.links_accepted = WholeNumber(from.at("links_accepted"), path, line);
+    out.links_refused = WholeNumber(from.at("links_refused"), path, line);
+    out.pose_gain = Optional(from.at("pose_gain_nats"));
+    for (const auto& candidate : from.at("candidates")) {
+      RunCandidate& to = out.candidates.emplace_back();
+      to.pose = IndexOf(candidate.at("id"), path);
+      to.accepted = candidate.at("accepted").get<bool>();
+      to.probability = Optional(candidate.at("probability"));
+      to.gain = Optional(candidate.at("gain_nats"));
+      to.measured_gain = Optional(candidate.at("measured_gain_nats"));
+      to.innovation = Optional(candidate.at("innovation"));
+      to.tried = Flag(candidate, "tried");
+      to.measured = Flag(candidate, "measured");
+      if (!candidate.at("factor").is_null())
+        innovations_[WholeNumber(candidate.at("factor"), path, line)] = to.innovation;
+    }
+    return out;
+  }
+
   void RequirePose(const std::string& path, double id, size_t k) const {
     if (id == static_cast<double>(run_.ids[k])) return;
     throw FileError(path, 0,
@@ -209,8 +219,8 @@ class Reader {
 
   // Of a run that continued one whose own decisions or steps were not there: the poses that these rows are not about.
   size_t PosesBefore(size_t rows) const {
-    const auto continued = run_.stats.find("continued");
-    if (rows >= run_.ids.size() || continued == run_.stats.end()) return 0;
+    const auto continued = stats_.find("continued");
+    if (rows >= run_.ids.size() || continued == stats_.end()) return 0;
     const auto poses = continued->find("poses");
     if (poses == continued->end() || !poses->is_number_unsigned()) return 0;
     return std::min(poses->get<size_t>(), run_.ids.size());
@@ -251,7 +261,8 @@ class Reader {
   }
 
   RunFolder& run_;
-  const bool is_stereo_ = run_.stats.contains("frames");  // stamps are seconds then, and rows in order of arrival
+  const nlohmann::ordered_json& stats_;
+  const bool is_stereo_ = stats_.contains("frames");  // stamps are seconds then, and rows in order of arrival
   std::unordered_map<std::int64_t, int> index_;
   std::unordered_map<std::int64_t, std::optional<double>> innovations_;  // by factor
 };
@@ -267,9 +278,14 @@ RunFolder ReadRunFolder(const std::string& path) {
   run.name = std::filesystem::canonical(path).filename().string();
   const std::string graph_path = path + "/graph.json";
   const auto graph = ReadJsonObject<nlohmann::json>(Present(graph_path), "a compact map");
-  run.thresholds = ReadJsonObject<nlohmann::ordered_json>(Present(path + "/thresholds.json"), "thresholds");
-  run.stats = ReadJsonObject<nlohmann::ordered_json>(Present(path + "/stats.json"), "figures");
-  Reader reader(run);
+  const auto thresholds =
+      ReadJsonObject<nlohmann::json>(Present(path + "/thresholds.json"), "thresholds", &run.thresholds_json);
+  const auto stats = ReadJsonObject<nlohmann::ordered_json>(Present(path + "/stats.json"), "figures", &run.stats_json);
+  run.min_loop_gain = NumberAt(thresholds, "min_loop_gain");
+  run.min_pose_gain = NumberAt(thresholds, "min_pose_gain");
+  const auto errors = stats.find("errors");
+  if (errors != stats.end()) run.ate_m = NumberAt(*errors, "ate_m");
+  Reader reader(run, stats);
   WithJsonErrors(graph_path, 0, [&] { reader.ReadPoses(graph); });
   run.T_world_body = reader.ReadPosesFrom(path + "/trajectory.tum");
   reader.ReadDecisions(path + "/decisions.jsonl");
@@ -278,25 +294,13 @@ RunFolder ReadRunFolder(const std::string& path) {
   reader.ReadSteps(path + "/steps.csv");
   reader.ReadCovariances(path + "/covariances.csv");
   // The file may be left from an earlier run into the same folder.
-  if (run.stats.contains("errors")) {
+  if (errors != stats.end()) {
     std::vector<SE3> truth = reader.ReadPosesFrom(path + "/ground_truth.tum");
     const SE3 T_estimate_truth = Align(truth, run.T_world_body, run.dimension == 3 ? Alignment::kSE3 : Alignment::kSE2);
     for (SE3& T : truth) T = T_estimate_truth * T;
     run.T_world_body_true = std::move(truth);
   }
   return run;
-}
-
-std::vector<RunFolder> ReadRunFolders(const std::vector<std::string>& paths) {
-  std::vector<RunFolder> runs;
-  for (const std::string& path : paths) runs.push_back(ReadRunFolder(path));
-  if (runs.size() < 2 || runs[0].name != runs[1].name) return runs;
-  for (RunFolder& run : runs) {  // ellipse/fpfl and sphere/fpfl, or the same one twice
-    const std::string parent = std::filesystem::canonical(run.path).parent_path().filename().string();
-    run.name = parent + '/' + run.name;
-  }
-  if (runs[0].name == runs[1].name) runs[1].name += " (2)";
-  return runs;
 }
 
 }  // namespace terse

@@ -1,10 +1,10 @@
-#include "run/thresholds_file.h"
+#include "terse/compact/thresholds_file.h"
 
 #include <Eigen/Cholesky>
 #include <cmath>
 
-#include "run/json_file.h"
-#include "run/run_statistics.h"
+#include "terse/compact/compact_json.h"
+#include "terse/compact/json_file.h"
 #include "terse/core/error.h"
 
 namespace terse {
@@ -94,31 +94,13 @@ void ReadThresholds(const std::string& path, CompactOptions<Pose>& options) {
 }
 
 template <class Pose>
-nlohmann::ordered_json ThresholdsToJson(const CompactOptions<Pose>& options) {
-  nlohmann::ordered_json rows = nlohmann::ordered_json::array();
-  for (int i = 0; i < Pose::kDof; ++i) {
-    const Vector<Pose::kDof> row = options.link_covariance.row(i).transpose();
-    rows.push_back(std::vector<double>(row.data(), row.data() + row.size()));
-  }
-  return {{"dimension", Pose::kDim},
-          {"range", std::vector<double>(options.range.data(), options.range.data() + options.range.size())},
-          {"probability", options.probability},
-          {"min_loop_gain", options.min_loop_gain},
-          {"min_pose_gain", options.min_pose_gain},
-          {"link_covariance", rows}};
-}
-
-template <class Pose>
 void WriteThresholds(const CompactOptions<Pose>& options, const std::string& path) {
   WriteJson(ThresholdsToJson(options), path);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                        \
-  template void ReadThresholds<Pose>(const std::string&, CompactOptions<Pose>&);       \
-  template nlohmann::ordered_json ThresholdsToJson<Pose>(const CompactOptions<Pose>&); \
-  template void WriteThresholds<Pose>(const CompactOptions<Pose>&, const std::string&);
-TERSE_INSTANTIATE(SE2)
-TERSE_INSTANTIATE(SE3)
-#undef TERSE_INSTANTIATE
+template void ReadThresholds<SE2>(const std::string&, CompactOptions<SE2>&);
+template void ReadThresholds<SE3>(const std::string&, CompactOptions<SE3>&);
+template void WriteThresholds<SE2>(const CompactOptions<SE2>&, const std::string&);
+template void WriteThresholds<SE3>(const CompactOptions<SE3>&, const std::string&);
 
 }  // namespace terse

@@ -1,39 +1,24 @@
-#include "run/covariance_output.h"
+#include "terse/covariance/covariance_table.h"
 
 #include <algorithm>
 
-#include "commands/commands.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/number_text.h"
 
 namespace terse {
-namespace {
-
-const std::vector<std::pair<std::string, CovarianceFrame>> kFrames = {
-    {"body", CovarianceFrame::kBody}, {"world", CovarianceFrame::kWorld}, {"world-axes", CovarianceFrame::kWorldAxes}};
-const std::vector<std::pair<std::string, TangentOrder>> kOrders = {
-    {"translation-first", TangentOrder::kTranslationFirst}, {"rotation-first", TangentOrder::kRotationFirst}};
-
-template <class Value>
-std::string NameOf(Value wanted, const std::vector<std::pair<std::string, Value>>& names) {
-  for (const auto& [name, value] : names) {
-    if (value == wanted) return name;
+std::string Name(CovarianceFrame frame) {
+  switch (frame) {
+    case CovarianceFrame::kBody: return "body";
+    case CovarianceFrame::kWorld: return "world";
+    case CovarianceFrame::kWorldAxes: return "world-axes";
   }
   return "";
 }
 
-}  // namespace
-
-std::vector<CLI::Option*> AddConventionOptions(CLI::App& subcommand, CovarianceConvention& convention) {
-  return {AddChoice(subcommand, "--frame", convention.frame, kFrames,
-                    "Of covariances: of d in T Exp(d), of e in Exp(e) T (for a relative pose, the frame of its first "
-                    "pose), or of position and rotation along the world's axes, as ROS has them"),
-          AddChoice(subcommand, "--order", convention.order, kOrders, "Of rows and columns of covariances")};
+std::string Name(TangentOrder order) {
+  return order == TangentOrder::kTranslationFirst ? "translation-first" : "rotation-first";
 }
-
-std::string Name(CovarianceFrame frame) { return NameOf(frame, kFrames); }
-std::string Name(TangentOrder order) { return NameOf(order, kOrders); }
 
 template <class Pose>
 std::vector<std::string> TangentNames(TangentOrder order) {
@@ -63,7 +48,7 @@ void WriteEntries(const MatrixX& covariance, std::ostream& out) {
 template <class Pose>
 void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename Pose::Jacobian>& covariances,
                       const std::string& path, TangentOrder order) {
-  AtomicFile file(FileOrStandardOutput(path));
+  AtomicFile file(path);
   std::ostream& out = file.Stream();
   out << "id";
   WriteEntryNames(TangentNames<Pose>(order), out);
@@ -75,8 +60,6 @@ void WriteCovariances(const std::vector<PoseId>& ids, const std::vector<typename
   }
   file.Commit();
 }
-
-std::string FileOrStandardOutput(const std::string& path) { return path == "-" ? "/dev/stdout" : path; }
 
 #define TERSE_INSTANTIATE(Pose)                                                                        \
   template std::vector<std::string> TangentNames<Pose>(TangentOrder);                                  \
