@@ -8,11 +8,11 @@
 #include <thread>
 #include <vector>
 
-#include "frontend/png_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/number_text.h"
 #include "terse/core/trajectory.h"
 #include "terse/frontend/kitti_calibration.h"
+#include "terse/frontend/png_file.h"
 #include "terse/frontend/street_sequence.h"
 
 namespace terse {

@@ -4,9 +4,9 @@
 #include <stdexcept>
 #include <unordered_set>
 
-#include "support/parallel.h"
 #include "support/version.h"
 #include "terse/core/dense_kernels.h"
+#include "terse/core/parallel.h"
 
 namespace terse {
 namespace {

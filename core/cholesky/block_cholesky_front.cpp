@@ -5,9 +5,9 @@
 #include <cmath>
 #include <utility>
 
-#include "support/parallel.h"
 #include "terse/core/block_cholesky.h"
 #include "terse/core/dense_kernels.h"
+#include "terse/core/parallel.h"
 
 namespace terse {
 namespace {
