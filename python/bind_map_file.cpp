@@ -83,7 +83,7 @@ void Write(const Map& map, const Path& path) {
 }
 
 std::shared_ptr<CompactSettings> ReadOptions(const Path& path, const py::kwargs& keywords) {
-  const auto settings = ForDimension(ReadThresholdsDimension(path.string()), [&](auto origin) {
+  auto settings = ForDimension(ReadThresholdsDimension(path.string()), [&](auto origin) {
     CompactOptions<decltype(origin)> options;
     ReadThresholds(path.string(), options);
     return std::make_shared<CompactSettings>(CompactSettings{options});

@@ -125,7 +125,8 @@ using nlohmann::json;
 // A value of the file, and where it is.
 class Place {
  public:
-  Place(const json& value, std::string where, const std::string& path) : value_(value), where_(where), path_(path) {}
+  Place(const json& value, std::string where, const std::string& path)
+      : value_(value), where_(std::move(where)), path_(path) {}
 
   [[noreturn]] void Fail(const std::string& cause) const {
     throw FileError(path_, 0, (where_.empty() ? "" : where_ + ": ") + cause);

@@ -142,17 +142,18 @@ class Reader {
   // A missing pose has no covariance: those of a run by the random baseline with few poses, say.
   void ReadCovariances(const std::string& path) {
     const auto [names, rows] = ReadCsv(path);
-    const int size = run_.dimension == 3 ? 6 : 3;
+    const size_t size = run_.dimension == 3 ? 6 : 3;
     for (size_t r = 0; r < rows.size(); ++r) {
       const std::vector<double>& row = rows[r];
       const auto id = IdOf(row[0]);
       const auto found = id ? index_.find(*id) : index_.end();
-      if (static_cast<int>(row.size()) != 1 + size * size || found == index_.end()) {
+      if (row.size() != 1 + size * size || found == index_.end()) {
         throw FileError(path, static_cast<long>(r) + 2, "expected the id of a pose and its covariance");
       }
       Matrix<3, 3> body = Matrix<3, 3>::Zero();
       for (int i = 0; i < run_.dimension; ++i) {
-        for (int j = 0; j < run_.dimension; ++j) body(i, j) = row[static_cast<size_t>(1 + i * size + j)];
+        for (int j = 0; j < run_.dimension; ++j)
+          body(i, j) = row[1 + static_cast<size_t>(i) * size + static_cast<size_t>(j)];
       }
       const Matrix<3, 3> R = run_.T_world_body[static_cast<size_t>(found->second)].Rotation().Rotation();
       run_.covariances.push_back({found->second, R * body * R.transpose()});

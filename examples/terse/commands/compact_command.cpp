@@ -310,84 +310,97 @@ void Compact(CompactCommandOptions options) {
   WriteReport({options.directory}, options.directory + "/report.html");
 }
 
+// What to do with which files.
+void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
+  AddChoice(
+      command, "--strategy", options.strategy,
+      {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kRfpfl}},
+      "All poses all links, all poses few links, few poses few links, or as few at random; --continue goes on as "
+      "before")
+      ->default_str("fpfl");
+  command
+      .add_option("--continue", options.continued,
+                  "Continue the map in this folder (its graph.json and thresholds.json) with the poses of FILE that it "
+                  "has not seen: FILE is the longer graph, or the new part alone, which names poses of the map")
+      ->type_name("DIR");
+  command
+      .add_option("--ground-truth", options.ground_truth,
+                  "True poses, a TUM or KITTI file or a graph: writes the errors of the run and of its steps")
+      ->type_name("FILE");
+}
+
+void AddThresholdOptions(CLI::App& command, CompactCommandOptions& options) {
+  command
+      .add_option("--range", options.range,
+                  "Sensor range in metres and radians; by default 1.5 times the longest link of the file, less one in "
+                  "a hundred")
+      ->expected(3, 4)
+      ->check(PositiveNumber())
+      ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
+  command
+      .add_option("--probability", options.probability,
+                  "Least probability of being in range, per dimension (0.1 unless a file says otherwise)")
+      ->check(NumberIn(0, 0.999999))
+      ->type_name("S");
+  command
+      .add_option("--min-pose-gain", options.min_pose_gain,
+                  "A pose is kept above this gain (nats), or if a loop closes at it")
+      ->check(NonNegativeNumber())
+      ->type_name("G");
+  command.add_option("--min-loop-gain", options.min_loop_gain, "A link is kept above this gain (nats)")
+      ->check(NonNegativeNumber())
+      ->type_name("G");
+  CLI::Option* file =
+      command
+          .add_option("--thresholds", options.thresholds, "Read them from a thresholds.json; options above override")
+          ->type_name("FILE");
+  CLI::Option* sampled = command.add_flag("--auto-thresholds", options.auto_thresholds,
+                                          "Choose them from a sample of the file, as if none were given");
+  AddSampleOption(command, options.sample)->excludes(file);
+  file->excludes(sampled);
+}
+
+// How poses and links are judged, and what is kept of that.
+void AddMethodOptions(CLI::App& command, CompactCommandOptions& options) {
+  command
+      .add_option("--max-registrations", options.max_registrations,
+                  "Links tried per pose, at most; those that promise the most information come first")
+      ->check(CLI::PositiveNumber.description(""))
+      ->type_name("N")
+      ->capture_default_str();
+  AddChoice(
+      command, "--record", options.record,
+      {{"none", Record::kNone}, {"decisions", Record::kDecisions}, {"candidates", Record::kCandidates}},
+      "What decisions.csv and decisions.jsonl keep of the search at every pose: counts, the links that were tried, "
+      "or the best of those not tried too");
+  AddInnovationOptions(command, options.innovation_quantile);
+  AddRobustOptions(command, options.robust);
+  AddChoice(command, "--composition", options.composition,
+            {{"first", CompositionOrder::kFirst}, {"fourth", CompositionOrder::kFourth}},
+            "Order of the covariance of chains over dropped poses");
+  AddChoice(command, "--angle", options.angle,
+            {{"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation}},
+            "The angle of the sensor range in 3D: between the view directions, or of the rotation");
+  AddSeedOption(command, options.seed, "Of --strategy rfpfl");
+  AddChoice(command, "--recover", options.recovery,
+            {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
+            "How dropped poses come back: as first estimated, chained to the kept pose before them, or fitted between "
+            "the kept poses around them");
+  AddChoice(
+      command, "--calibrate-information", options.calibrate, {{"auto", true}, {"off", false}},
+      "Whether information that nobody estimated (the unit matrix, one constant) and that the residuals contradict "
+      "is scaled to agree with them; --continue keeps the scales of its map");
+}
+
 }  // namespace
 
 void AddCompactCommand(CLI::App& app) {
   auto options = std::make_shared<CompactCommandOptions>();
   CLI::App* command = app.add_subcommand("compact", "Keep only the poses and links of a graph that carry information");
   command->add_option("FILE", options->path, "The graph file (g2o, TORO or iSAM)")->required();
-  AddChoice(
-      *command, "--strategy", options->strategy,
-      {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kRfpfl}},
-      "All poses all links, all poses few links, few poses few links, or as few at random; --continue goes on as "
-      "before")
-      ->default_str("fpfl");
-  command
-      ->add_option(
-          "--continue", options->continued,
-          "Continue the map in this folder (its graph.json and thresholds.json) with the poses of FILE that it "
-          "has not seen: FILE is the longer graph, or the new part alone, which names poses of the map")
-      ->type_name("DIR");
-  command
-      ->add_option("--ground-truth", options->ground_truth,
-                   "True poses, a TUM or KITTI file or a graph: writes the errors of the run and of its steps")
-      ->type_name("FILE");
-  command
-      ->add_option("--range", options->range,
-                   "Sensor range in metres and radians; by default 1.5 times the longest link of the file, less one in "
-                   "a hundred")
-      ->expected(3, 4)
-      ->check(PositiveNumber())
-      ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
-  command
-      ->add_option("--probability", options->probability,
-                   "Least probability of being in range, per dimension (0.1 unless a file says otherwise)")
-      ->check(NumberIn(0, 0.999999))
-      ->type_name("S");
-  command
-      ->add_option("--min-pose-gain", options->min_pose_gain,
-                   "A pose is kept above this gain (nats), or if a loop closes at it")
-      ->check(NonNegativeNumber())
-      ->type_name("G");
-  command->add_option("--min-loop-gain", options->min_loop_gain, "A link is kept above this gain (nats)")
-      ->check(NonNegativeNumber())
-      ->type_name("G");
-  CLI::Option* file =
-      command
-          ->add_option("--thresholds", options->thresholds, "Read them from a thresholds.json; options above override")
-          ->type_name("FILE");
-  CLI::Option* sampled = command->add_flag("--auto-thresholds", options->auto_thresholds,
-                                           "Choose them from a sample of the file, as if none were given");
-  AddSampleOption(*command, options->sample)->excludes(file);
-  file->excludes(sampled);
-  command
-      ->add_option("--max-registrations", options->max_registrations,
-                   "Links tried per pose, at most; those that promise the most information come first")
-      ->check(CLI::PositiveNumber.description(""))
-      ->type_name("N")
-      ->capture_default_str();
-  AddChoice(
-      *command, "--record", options->record,
-      {{"none", Record::kNone}, {"decisions", Record::kDecisions}, {"candidates", Record::kCandidates}},
-      "What decisions.csv and decisions.jsonl keep of the search at every pose: counts, the links that were tried, "
-      "or the best of those not tried too");
-  AddInnovationOptions(*command, options->innovation_quantile);
-  AddRobustOptions(*command, options->robust);
-  AddChoice(*command, "--composition", options->composition,
-            {{"first", CompositionOrder::kFirst}, {"fourth", CompositionOrder::kFourth}},
-            "Order of the covariance of chains over dropped poses");
-  AddChoice(*command, "--angle", options->angle,
-            {{"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation}},
-            "The angle of the sensor range in 3D: between the view directions, or of the rotation");
-  AddSeedOption(*command, options->seed, "Of --strategy rfpfl");
-  AddChoice(*command, "--recover", options->recovery,
-            {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
-            "How dropped poses come back: as first estimated, chained to the kept pose before them, or fitted between "
-            "the kept poses around them");
-  AddChoice(
-      *command, "--calibrate-information", options->calibrate, {{"auto", true}, {"off", false}},
-      "Whether information that nobody estimated (the unit matrix, one constant) and that the residuals contradict "
-      "is scaled to agree with them; --continue keeps the scales of its map");
+  AddTaskOptions(*command, *options);
+  AddThresholdOptions(*command, *options);
+  AddMethodOptions(*command, *options);
   AddReadOptions(*command, options->read);
   command->add_option("--output", options->directory, "Folder for the results, made if it is missing")
       ->required()
