@@ -4,7 +4,7 @@
 #include <numeric>
 #include <stdexcept>
 
-#include "terse/core/error.h"
+#include "terse/core/require_optimum.h"
 
 namespace terse {
 
@@ -19,23 +19,32 @@ double CompactRun<Pose>::Seconds() const {
 }
 
 template <class Pose>
-CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay,
-                            const AfterStep<Pose>& after_step) {
+std::vector<Decision> AddPoses(CompactPoseSlam<Pose>& slam, const GraphReplay<Pose>& replay,
+                               const StepWatch& after_step) {
   using Clock = std::chrono::steady_clock;
-  CompactRun<Pose> run{std::move(slam), {}, {}, replay.LinksOffered(), 0, 0, {}, {}};
+  std::vector<Decision> decisions;
   for (const auto& input : replay.Inputs()) {
     const Clock::time_point before = Clock::now();
-    run.decisions.push_back(run.slam.AddPose(input));
-    run.step_seconds.push_back(std::chrono::duration<double>(Clock::now() - before).count());
-    const Decision& decision = run.decisions.back();
+    decisions.push_back(slam.AddPose(input));
+    const double seconds = std::chrono::duration<double>(Clock::now() - before).count();
+    if (after_step && !after_step(decisions.back(), seconds)) break;
+  }
+  return decisions;
+}
+
+template <class Pose>
+CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay,
+                            const AfterStep<Pose>& after_step) {
+  CompactRun<Pose> run{std::move(slam), {}, {}, replay.LinksOffered(), 0, 0, {}, {}};
+  run.decisions = AddPoses<Pose>(run.slam, replay, [&](const Decision& decision, double seconds) {
+    run.step_seconds.push_back(seconds);
     run.links_refused += decision.links_refused;
     run.registrations_tried += decision.registrations_tried;
-    if (after_step) after_step(run.slam, decision, run.step_seconds.back());
-  }
+    if (after_step) after_step(run.slam, decision, seconds);
+    return true;
+  });
   run.result = run.slam.Finish();
-  if (run.result.termination == Termination::kNotPositiveDefinite || run.result.termination == Termination::kDiverged) {
-    throw NumericalError(run.result.message);
-  }
+  RequireOptimum(run.result);
   return run;
 }
 
@@ -77,6 +86,7 @@ Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<P
 
 #define TERSE_INSTANTIATE(Pose)                                                                                        \
   template struct CompactRun<Pose>;                                                                                    \
+  template std::vector<Decision> AddPoses<Pose>(CompactPoseSlam<Pose>&, const GraphReplay<Pose>&, const StepWatch&);   \
   template CompactRun<Pose> RunCompact<Pose>(CompactPoseSlam<Pose>, const GraphReplay<Pose>&, const AfterStep<Pose>&); \
   template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&,                    \
                                                const AfterStep<Pose>&);                                                \

@@ -9,6 +9,7 @@
 
 #include "compact_pose_slam_parts.h"
 #include "terse/core/error.h"
+#include "terse/core/require_optimum.h"
 
 namespace terse {
 namespace {
@@ -250,9 +251,7 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   }
   const BatchResult<Pose> result = slam.solver_->FinishFrom(T_world_body);
   slam.UpdateCovariances();
-  if (result.termination == Termination::kNotPositiveDefinite || result.termination == Termination::kDiverged) {
-    throw NumericalError(result.message);
-  }
+  RequireOptimum(result);
   return slam;
 }
 

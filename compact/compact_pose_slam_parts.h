@@ -1,8 +1,8 @@
 #pragma once
 // What the parts of CompactPoseSlam share while a pose is worked in.
 
-#include "pose_index.h"
 #include "terse/compact/compact_pose_slam.h"
+#include "terse/compact/pose_index.h"
 
 namespace terse {
 

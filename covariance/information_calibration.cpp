@@ -2,7 +2,7 @@
 #include <cmath>
 #include <cstdio>
 
-#include "information_probe.h"
+#include "terse/covariance/information_probe.h"
 #include "terse/covariance/information_scale.h"
 
 namespace terse {

@@ -1,4 +1,4 @@
-#include "information_probe.h"
+#include "terse/covariance/information_probe.h"
 
 #include <Eigen/Cholesky>
 #include <cmath>

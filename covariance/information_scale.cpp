@@ -8,7 +8,6 @@
 #include <stdexcept>
 
 #include "information_kinds.h"
-#include "information_probe.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/chi_square.h"
 #include "terse/core/error.h"
@@ -16,6 +15,7 @@
 #include "terse/core/linear_factor.h"
 #include "terse/core/residual.h"
 #include "terse/core/robust.h"
+#include "terse/covariance/information_probe.h"
 
 namespace terse {
 namespace {

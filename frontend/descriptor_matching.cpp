@@ -1,4 +1,4 @@
-#include "frontend/descriptor_matching.h"
+#include "descriptor_matching.h"
 
 #include <algorithm>
 #include <cmath>

@@ -4,8 +4,8 @@
 #include <vector>
 
 #include "bucketed_corners.h"
-#include "motion_window.h"
 #include "stereo_tracker.h"
+#include "terse/frontend/motion_window.h"
 #include "terse/frontend/stereo_odometry.h"
 
 namespace terse {

@@ -7,7 +7,7 @@
 #include <opencv2/imgproc.hpp>
 #include <random>
 
-#include "frontend/patch_alignment.h"
+#include "patch_alignment.h"
 
 namespace terse {
 namespace {

@@ -10,8 +10,8 @@
 #include <numeric>
 #include <thread>
 
-#include "frontend/png_file.h"
 #include "terse/core/text_lines.h"
+#include "terse/frontend/png_file.h"
 
 namespace terse {
 namespace {

@@ -5,8 +5,8 @@
 #include <stdexcept>
 #include <string>
 
-#include "frontend/descriptor_matching.h"
-#include "frontend/patch_alignment.h"
+#include "descriptor_matching.h"
+#include "patch_alignment.h"
 
 namespace terse {
 namespace {

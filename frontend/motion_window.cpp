@@ -1,4 +1,4 @@
-#include "motion_window.h"
+#include "terse/frontend/motion_window.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>

@@ -1,4 +1,4 @@
-#include "frontend/patch_alignment.h"
+#include "patch_alignment.h"
 
 #include <cmath>
 

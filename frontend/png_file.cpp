@@ -1,4 +1,4 @@
-#include "frontend/png_file.h"
+#include "terse/frontend/png_file.h"
 
 #include <png.h>
 

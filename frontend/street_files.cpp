@@ -8,11 +8,12 @@
 #include <thread>
 #include <vector>
 
-#include "frontend/png_file.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/number_text.h"
 #include "terse/core/trajectory.h"
+#include "terse/core/writable.h"
 #include "terse/frontend/kitti_calibration.h"
+#include "terse/frontend/png_file.h"
 #include "terse/frontend/street_sequence.h"
 
 namespace terse {
@@ -21,10 +22,9 @@ namespace {
 namespace fs = std::filesystem;
 
 void MakeImageFolder(const fs::path& folder) {
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (error) throw FileError(folder.string(), 0, "cannot make the folder: " + error.message());
-  if (fs::directory_iterator(folder, error) != fs::directory_iterator()) {
+  RequireFolder(folder.string(), "000000.png");
+  std::error_code unreadable;
+  if (fs::directory_iterator(folder, unreadable) != fs::directory_iterator()) {
     throw FileError(folder.string(), 0, "the folder is not empty, expected a new or an empty one");
   }
 }

@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "coefficients.h"
+#include "terse/lie/coefficients.h"
 
 namespace terse {
 namespace {

@@ -1,6 +1,6 @@
 #include "terse/lie/se3.h"
 
-#include "coefficients.h"
+#include "terse/lie/coefficients.h"
 
 namespace terse {
 namespace {

@@ -2,7 +2,7 @@
 
 #include <limits>
 
-#include "coefficients.h"
+#include "terse/lie/coefficients.h"
 
 namespace terse {
 

@@ -8,6 +8,8 @@
 #include "bindings.h"
 #include "names.h"
 #include "pickling.h"
+#include "terse/compact/compact_graph.h"
+#include "terse/compact/map_file.h"
 #include "terse/compact/state_members.h"
 #include "text.h"
 #include "values.h"
@@ -115,13 +117,10 @@ std::vector<Decision> Run(const Slam& slam, const Replay& replay, const py::obje
       [&](const auto& held) {
         using Pose = decltype(OriginOf(held));
         const auto& source = *Expect<std::shared_ptr<GraphReplay<Pose>>>(replay.replay, "replay");
-        std::vector<Decision> decisions;
+        const auto total = static_cast<long>(source.Inputs().size());
+        long done = 0;
         const py::gil_scoped_release release;
-        for (const auto& input : source.Inputs()) {
-          decisions.push_back(held->AddPose(input));
-          if (!interrupter(static_cast<long>(decisions.size()), static_cast<long>(source.Inputs().size()))) break;
-        }
-        return decisions;
+        return AddPoses(*held, source, [&](const Decision&, double) { return interrupter(++done, total); });
       },
       slam.slam);
 }
@@ -187,6 +186,25 @@ Slam Load(const Path& path) {
     const py::gil_scoped_release release;
     return Slam{std::make_shared<Held>(Held::Load(path.string()))};
   });
+}
+
+CompactMapFile Export(const Slam& slam, const std::string& recovery) {
+  const auto how = FromWord<Recovery>(recovery);
+  return Read(slam, [&](const auto& held) {
+    const py::gil_scoped_release release;
+    return CompactMapFile{held.Export(how), held.Options().strategy, {}};
+  });
+}
+
+Slam Restore(const CompactMapFile& file, const CompactSettings& settings) {
+  return std::visit(
+      [&](const auto& map) {
+        using Pose = std::decay_t<decltype(map.poses.front().T_world_body)>;
+        const auto& options = Expect<CompactOptions<Pose>>(settings.options, "options");
+        const py::gil_scoped_release release;
+        return Slam{std::make_shared<CompactPoseSlam<Pose>>(CompactPoseSlam<Pose>::Restore(map, options))};
+      },
+      file.map);
 }
 
 using Type = py::class_<Slam>;
@@ -327,7 +345,14 @@ void BindReading(Type& type) {
           },
           py::arg("path"), "Writes the whole state to a file, whole or not at all. FileError. Without the GIL.")
       .def_static("load", &Load, py::arg("path"),
-                  "What was saved; it continues bit for bit as that one would have. FileError. Without the GIL.");
+                  "What was saved; it continues bit for bit as that one would have. FileError. Without the GIL.")
+      .def("export", &Export, py::arg("recovery") = "v2",
+           "The map as a value (CompactMap), for write_compact_map and restore. recovery, of dropped poses: as in "
+           "trajectory(). Without the GIL.")
+      .def_static("restore", &Restore, py::arg("map"), py::arg("options"),
+                  "A run that continues from a CompactMap, brought to its optimum; options are not part of the map "
+                  "(read_thresholds). Factors are numbered anew, in the same order. ValueError if the map contradicts "
+                  "itself, NumericalError if its measurements do not hold it. Without the GIL.");
 }
 
 void BindCovariances(Type& type) {

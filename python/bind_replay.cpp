@@ -17,13 +17,15 @@ Pose OriginOf(const std::shared_ptr<GraphReplay<Pose>>&) {
   return Pose();
 }
 
-Replay MakeReplay(const Graph& graph) {
+Replay MakeReplay(const Graph& graph, const py::object& seen) {
   const auto shared = graph.Share();
+  const std::vector<PoseId> before = seen.is_none() ? std::vector<PoseId>() : IdsFrom(seen);
   return std::visit(
-      [](const auto& g) {
+      [&](const auto& g) {
         using Pose = typename std::decay_t<decltype(g.Poses()[0].T_world_body)>::value_type;
         const py::gil_scoped_release release;
-        return Replay{std::make_shared<GraphReplay<Pose>>(g)};
+        return Replay{before.empty() ? std::make_shared<GraphReplay<Pose>>(g)
+                                     : std::make_shared<GraphReplay<Pose>>(g, before)};
       },
       *shared);
 }
@@ -134,7 +136,10 @@ void BindGraphReplay(py::module_& module) {
       module, "GraphReplay",
       "A stored PoseGraph as a run: its poses in order of arrival (a sequence of CompactInput) with their loops. It is "
       "also a registration, for inputs without loops: then each edge is given once, so one replay serves one run.")
-      .def(py::init(&MakeReplay), py::arg("graph"), "ValueError if the graph is empty or not connected.")
+      .def(py::init(&MakeReplay), py::arg("graph"), py::arg("seen") = py::none(),
+           "seen: ids of poses that a run has seen before, in order of arrival (CompactMap.ids): those poses, their "
+           "priors and the edges among them are left out. ValueError if the graph is empty or not connected, or if no "
+           "edges join its new poses to those seen.")
       .def_property_readonly(
           "dimension", [](const Replay& r) { return DimensionOf(r.replay); }, "2 or 3.")
       .def("__len__",

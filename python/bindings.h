@@ -18,6 +18,7 @@ void BindIncrementalMarginals(pybind11::module_& module);
 void BindInformation(pybind11::module_& module);
 void BindDecision(pybind11::module_& module);
 void BindReplay(pybind11::module_& module);
+void BindMapFile(pybind11::module_& module);
 void BindCompact(pybind11::module_& module);
 void BindCompactRun(pybind11::module_& module);
 

@@ -21,6 +21,7 @@ PYBIND11_MODULE(_terse, module) {
   BindInformation(module);
   BindDecision(module);
   BindReplay(module);
+  BindMapFile(module);
   BindCompact(module);
   BindCompactRun(module);
 }

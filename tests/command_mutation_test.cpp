@@ -5,9 +5,9 @@
 
 #include <random>
 
-#include "fuzz/text_mutator.h"
 #include "slow_build.h"
 #include "testing_command.h"
+#include "text_mutator.h"
 
 namespace terse {
 namespace {

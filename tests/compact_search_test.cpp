@@ -5,8 +5,8 @@
 
 #include <deque>
 
-#include "compact/pose_index.h"
 #include "terse/compact/information.h"
+#include "terse/compact/pose_index.h"
 #include "terse/core/chi_square.h"
 #include "terse/covariance/marginals.h"
 #include "testing_compact.h"

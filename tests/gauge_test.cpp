@@ -4,8 +4,8 @@
 
 #include <gtest/gtest.h>
 
-#include "core/graph/frame_alignment.h"
 #include "terse/core/batch_solver.h"
+#include "terse/core/frame_alignment.h"
 #include "testing.h"
 
 namespace terse {

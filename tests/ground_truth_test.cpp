@@ -1,6 +1,6 @@
 // What trajectories are compared with: derived truths against the generator's and against the public data.
 
-#include "examples/terse/ground_truth.h"
+#include "run/ground_truth.h"
 
 #include <gtest/gtest.h>
 

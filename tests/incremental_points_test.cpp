@@ -4,8 +4,8 @@
 
 #include <numeric>
 
-#include "core/experiments/paper_flops.h"
 #include "terse/core/incremental_solver.h"
+#include "terse/core/paper_flops.h"
 #include "testing_incremental.h"
 
 namespace terse {

@@ -9,7 +9,6 @@
 #include <string>
 #include <vector>
 
-#include "covariance/information_probe.h"
 #include "shared_data.h"
 #include "slow_build.h"
 #include "terse/core/batch_solver.h"
@@ -17,6 +16,7 @@
 #include "terse/core/graph_file.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/linear_factor.h"
+#include "terse/covariance/information_probe.h"
 
 namespace terse {
 namespace {

@@ -1,9 +1,8 @@
 // JSON from files: limits, and what is said of files that are none.
 
-#include "json_file.h"
-
 #include <gtest/gtest.h>
 
+#include "terse/compact/json_file.h"
 #include "terse/core/limits.h"
 #include "testing_files.h"
 

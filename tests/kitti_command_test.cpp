@@ -1,9 +1,9 @@
 // terse kitti, run as a user would on a few rendered frames.
 
-#include "frontend/png_file.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/trajectory.h"
 #include "terse/frontend/kitti_calibration.h"
+#include "terse/frontend/png_file.h"
 #include "testing_command.h"
 #include "testing_street.h"
 

@@ -9,9 +9,9 @@
 #include <functional>
 #include <opencv2/core.hpp>
 
-#include "frontend/png_file.h"
 #include "shared_data.h"
 #include "terse/core/error.h"
+#include "terse/frontend/png_file.h"
 #include "testing_files.h"
 
 namespace terse {

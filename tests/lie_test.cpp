@@ -6,7 +6,7 @@
 #include <limits>
 #include <vector>
 
-#include "lie/coefficients.h"
+#include "terse/lie/coefficients.h"
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"
 #include "testing_jacobian.h"

@@ -1,12 +1,11 @@
 // The window of an odometry: poses recovered from noisy points, and the common offset of the disparities with them.
 
-#include "frontend/motion_window.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "stereo_scene.h"
+#include "terse/frontend/motion_window.h"
 
 namespace terse {
 namespace {

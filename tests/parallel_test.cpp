@@ -1,7 +1,7 @@
 // Loops and trees spread over threads: every part is done once, a node after its children. Under ThreadSanitizer also
 // that what a region reads and writes needs no lock of its own.
 
-#include "core/support/parallel.h"
+#include "terse/core/parallel.h"
 
 #include <gtest/gtest.h>
 

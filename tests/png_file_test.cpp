@@ -1,8 +1,6 @@
 // What is written reads back; PNGs of every kind, written by libpng's own simple interface, read as grey; damage at any
 // byte is an error.
 
-#include "frontend/png_file.h"
-
 #include <gtest/gtest.h>
 #include <png.h>
 #include <sys/resource.h>
@@ -14,6 +12,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "terse/core/error.h"
+#include "terse/frontend/png_file.h"
 #include "testing_files.h"
 
 namespace terse {

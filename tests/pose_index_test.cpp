@@ -1,11 +1,10 @@
 // The index of kept poses against looking at all of them, and the bound on what a chain does to an error.
 
-#include "compact/pose_index.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
 
+#include "terse/compact/pose_index.h"
 #include "terse/compact/uncertain_pose.h"
 #include "testing.h"
 

@@ -2,9 +2,9 @@
 
 #include <gtest/gtest.h>
 
-#include "core/batch/position_start.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/position_start.h"
 #include "testing.h"
 
 namespace terse {

@@ -13,8 +13,8 @@
 #include <sstream>
 
 #include "corridor.h"
-#include "frontend/png_file.h"
 #include "shared_data.h"
+#include "terse/frontend/png_file.h"
 
 namespace terse {
 namespace {

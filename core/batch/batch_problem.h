@@ -9,9 +9,9 @@
 #include <string>
 #include <vector>
 
-#include "support/parallel.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/gauge.h"
+#include "terse/core/parallel.h"
 #include "terse/core/residual.h"
 
 namespace terse::internal {

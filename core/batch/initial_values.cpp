@@ -4,9 +4,9 @@
 #include <string>
 
 #include "batch/chordal.h"
-#include "batch/position_start.h"
 #include "graph/adjacency.h"
 #include "terse/core/arrival.h"
+#include "terse/core/position_start.h"
 #include "terse/core/start_values.h"
 
 namespace terse {

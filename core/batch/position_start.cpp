@@ -1,11 +1,11 @@
-#include "batch/position_start.h"
+#include "terse/core/position_start.h"
 
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <optional>
 
 #include "batch/chordal.h"
-#include "graph/frame_alignment.h"
+#include "terse/core/frame_alignment.h"
 #include "terse/core/gauge.h"
 #include "terse/core/residual.h"
 

@@ -5,8 +5,8 @@
 #include <stdexcept>
 
 #include "cholesky/undo.h"
-#include "support/parallel.h"
 #include "terse/core/front.h"
+#include "terse/core/parallel.h"
 #include "terse/core/state_members.h"
 
 namespace terse {

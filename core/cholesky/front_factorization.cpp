@@ -5,8 +5,8 @@
 #include <cmath>
 #include <utility>
 
-#include "support/parallel.h"
 #include "terse/core/dense_kernels.h"
+#include "terse/core/parallel.h"
 
 namespace terse::internal {
 namespace {

@@ -1,4 +1,4 @@
-#include "experiments/paper_flops.h"
+#include "terse/core/paper_flops.h"
 
 #include <colamd.h>
 

@@ -12,6 +12,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/number_text.h"
+#include "terse/core/stamped_trajectory.h"
 #include "terse/core/text_lines.h"
 
 namespace terse {
@@ -87,9 +88,6 @@ Trajectory ReadKitti(const std::string& path, const std::vector<TextLine>& lines
   }
   return out;
 }
-
-SE3 InSpace(const SE2& T) { return Lift(T); }
-const SE3& InSpace(const SE3& T) { return T; }
 
 template <class Pose>
 Trajectory FromGraph(const std::string& path, const PoseGraph<Pose>& graph) {

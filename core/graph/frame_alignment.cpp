@@ -1,4 +1,4 @@
-#include "graph/frame_alignment.h"
+#include "terse/core/frame_alignment.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <set>
 
-#include "graph/frame_alignment.h"
 #include "incremental/update_plan.h"
+#include "terse/core/frame_alignment.h"
 
 namespace terse::internal {
 namespace {

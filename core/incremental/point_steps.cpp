@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <numeric>
 
-#include "experiments/paper_flops.h"
 #include "incremental/steps.h"
 #include "support/stopwatch.h"
 #include "terse/core/log_message.h"
+#include "terse/core/paper_flops.h"
 
 namespace terse::internal {
 namespace {

@@ -10,8 +10,9 @@
 #include <new>
 #include <stdexcept>
 
-#include "commands.h"
-#include "reference.h"
+#include "commands/commands.h"
+#include "commands/reference.h"
+#include "run/standard_output.h"
 #include "terse/core/atomic_file.h"
 
 namespace {

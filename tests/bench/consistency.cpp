@@ -9,8 +9,8 @@
 #include <sstream>
 
 #include "bench_report.h"
-#include "document.h"
 #include "simulation.h"
+#include "tables/document.h"
 #include "terse/core/batch_solver.h"
 #include "terse/covariance/marginals.h"
 

@@ -5,7 +5,7 @@
 #include <set>
 #include <string>
 
-#include "ground_truth.h"
+#include "run/ground_truth.h"
 #include "terse/core/outliers.h"
 
 namespace terse::bench {

@@ -10,10 +10,10 @@
 #include <thread>
 
 #include "bench_report.h"
-#include "document.h"
 #include "outlier_gains.h"
 #include "outlier_maps.h"
 #include "shared_data.h"
+#include "tables/document.h"
 #include "terse/core/graph_file.h"
 
 namespace terse::bench {

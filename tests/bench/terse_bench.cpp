@@ -9,7 +9,7 @@
 #include "bench_graphs.h"
 #include "bench_report.h"
 #include "bench_runs.h"
-#include "document.h"
+#include "tables/document.h"
 
 namespace terse::bench {
 namespace {

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "fuzzing.h"
-#include "journal.h"
+#include "run/journal.h"
 
 namespace terse::fuzz {
 namespace {

@@ -2,10 +2,10 @@
 
 #include <opencv2/core.hpp>
 
-#include "frontend/png_file.h"
 #include "fuzzing.h"
 #include "terse/frontend/kitti_calibration.h"
 #include "terse/frontend/kitti_sequence.h"
+#include "terse/frontend/png_file.h"
 
 #include <filesystem>
 

@@ -4,8 +4,8 @@
 
 #include <opencv2/core.hpp>
 
-#include "frontend/png_file.h"
 #include "fuzzing.h"
+#include "terse/frontend/png_file.h"
 
 namespace terse::fuzz {
 namespace {

@@ -4,10 +4,11 @@
 #include <filesystem>
 
 #include "fuzzing.h"
-#include "map_picture.h"
-#include "run_charts.h"
-#include "run_folder.h"
-#include "run_report.h"
+#include "pictures/compared_runs.h"
+#include "pictures/map_picture.h"
+#include "pictures/run_charts.h"
+#include "pictures/run_report.h"
+#include "terse/compact/run_folder.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace terse;

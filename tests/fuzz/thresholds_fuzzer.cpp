@@ -1,7 +1,8 @@
 // thresholds.json; what was read is written and read again to the same numbers.
 
 #include "fuzzing.h"
-#include "thresholds_file.h"
+#include "terse/compact/compact_json.h"
+#include "terse/compact/thresholds_file.h"
 
 namespace terse::fuzz {
 namespace {

@@ -34,7 +34,16 @@ struct CompactRun {
 template <class Pose>
 using AfterStep = std::function<void(const CompactPoseSlam<Pose>&, const Decision&, double seconds)>;
 
-// All inputs of the replay through `slam`, which may have seen poses before. Throws NumericalError if the kept map has
+// Told of every step and of the seconds it took, its own time not counted; false: no further one.
+using StepWatch = std::function<bool(const Decision&, double seconds)>;
+
+// Adds the poses of the replay to `slam`, which may have seen poses before, one after the other. Ends early where
+// `after_step` returns false. Throws what AddPose throws; poses added before stay.
+template <class Pose>
+std::vector<Decision> AddPoses(CompactPoseSlam<Pose>& slam, const GraphReplay<Pose>& replay,
+                               const StepWatch& after_step = nullptr);
+
+// The same with all that a run is asked for, and to the optimum. Throws NumericalError if the kept map has
 // no optimum, and what AddPose throws.
 template <class Pose>
 CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay,

@@ -1,0 +1,88 @@
+#pragma once
+// The subcommands. Each function adds one to the application; its work runs as the subcommand's callback and throws
+// terse::FileError, std::invalid_argument or terse::NumericalError, which main() turns into exit codes.
+
+#include <CLI/App.hpp>
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
+#include <cstdint>
+#include <functional>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "terse/core/graph_file.h"
+#include "terse/core/robust.h"
+
+namespace terse {
+
+void AddInfoCommand(CLI::App& app);
+void AddConvertCommand(CLI::App& app);
+void AddEvaluateCommand(CLI::App& app);
+void AddGenerateCommand(CLI::App& app);
+void AddGenerateStereo(CLI::App& generate);  // a subcommand of generate
+void AddSolveCommand(CLI::App& app);
+void AddCompactCommand(CLI::App& app);
+void AddOnlineCommand(CLI::App& app);
+void AddCovarianceCommand(CLI::App& app);
+void AddTableCommand(CLI::App& app);
+void AddCompactTable(CLI::App& table);  // a subcommand of table
+void AddSweepCommand(CLI::App& app);
+void AddKittiCommand(CLI::App& app);
+void AddReportCommand(CLI::App& app);
+void AddPlotCommand(CLI::App& app);
+
+// --rotation-information and --repair-information, for every subcommand that reads a graph.
+void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
+
+// --robust and --robust-width, for every subcommand that optimises.
+void AddRobustOptions(CLI::App& subcommand, RobustOptions& options);
+
+// --innovation-quantile and --no-innovation-test (absent), for every subcommand that tests links.
+void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile);
+
+// --sample: the share of the poses that thresholds are chosen from.
+CLI::Option* AddSampleOption(CLI::App& subcommand, std::optional<double>& share);
+
+// --seed.
+void AddSeedOption(CLI::App& subcommand, std::uint64_t& seed, const std::string& description);
+
+// One of these names, else the nearest is suggested; of these and `also`, which is suggested only.
+CLI::Validator OneOf(const std::vector<std::string>& names, const std::vector<std::string>& also = {});
+
+// Checks of an option's value that refuse nan, which CLI's own let pass.
+CLI::Validator NumberIn(double low, double high);
+CLI::Validator PositiveNumber();
+CLI::Validator NonNegativeNumber();
+
+// Warnings on standard error: lines that were skipped, matrices that --repair-information clamped.
+void ReportRepairs(const GraphFile& file, const std::string& path);
+
+// An option that takes one of a few names; the present value of `target` is the default.
+template <class Value>
+CLI::Option* AddChoice(CLI::App& subcommand, const std::string& option, Value& target,
+                       const std::vector<std::pair<std::string, Value>>& choices, const std::string& description) {
+  std::vector<std::string> names;
+  std::string list, preset;
+  for (const auto& [name, value] : choices) {
+    names.push_back(name);
+    list += (list.empty() ? "" : "|") + name;
+    if (value == target) preset = name;
+  }
+  const auto set = [&target, choices](const std::string& name) {
+    for (const auto& [known, value] : choices) {
+      if (known == name) target = value;
+    }
+  };
+  return subcommand.add_option_function<std::string>(option, set, description)
+      ->check(OneOf(names).description(""))  // the type name lists them already
+      ->type_name(list)
+      ->default_str(preset);
+}
+
+// Runs `work`; what it finds wrong with the graph (std::invalid_argument, NumericalError) then starts with the path.
+void AddPathToErrors(const std::string& path, const std::function<void()>& work);
+
+// The name nearest to a mistyped one by edit distance, or "" if none is near.
+std::string NearestName(const std::string& mistyped, const std::vector<std::string>& names);
+
+}  // namespace terse

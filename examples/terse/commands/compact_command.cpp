@@ -1,0 +1,418 @@
+#include <cmath>
+#include <iostream>
+
+#include "commands/commands.h"
+#include "commands/output_paths.h"
+#include "commands/verbose.h"
+#include "pictures/run_report.h"
+#include "run/calibration.h"
+#include "run/compact_run.h"
+#include "run/compact_stats.h"
+#include "run/ground_truth.h"
+#include "run/run_statistics.h"
+#include "run/standard_output.h"
+#include "terse/compact/compact_json.h"
+#include "terse/compact/compact_map.h"
+#include "terse/compact/json_file.h"
+#include "terse/compact/map_file.h"
+#include "terse/compact/run_writer.h"
+#include "terse/compact/thresholds_file.h"
+#include "terse/core/atomic_file.h"
+#include "terse/core/error.h"
+#include "terse/core/stamped_trajectory.h"
+#include "terse/core/writable.h"
+
+namespace terse {
+namespace {
+
+struct CompactCommandOptions {
+  std::string path, directory;
+  ReadOptions read;
+  std::string continued;     // the folder of the run to continue
+  std::string ground_truth;  // a file
+  std::optional<Strategy> strategy;
+  std::vector<double> range;
+  std::optional<double> probability;
+  std::optional<double> min_pose_gain, min_loop_gain;
+  std::string thresholds;  // a file to read them from
+  bool auto_thresholds = false;
+  std::optional<double> sample;  // share of the poses
+  std::optional<double> innovation_quantile = kInnovationQuantile;
+  CompositionOrder composition = CompositionOrder::kFirst;
+  AngleMeasure angle = AngleMeasure::kViewDirection;
+  RobustOptions robust;
+  std::uint64_t seed = 1;
+  Recovery recovery = Recovery::kV2;
+  bool calibrate = true;
+  int max_registrations = CompactOptions<SE3>().max_registrations;
+  Record record = Record::kCandidates;
+  bool quiet = false;
+  LogSink log;
+};
+
+// Usage, though only the file tells how many numbers are right.
+template <class Pose>
+void CheckRange(const PoseGraph<Pose>&, const CompactCommandOptions& options) {
+  constexpr std::size_t kSize = Displacement<Pose>::kSize;
+  if (options.range.empty() || options.range.size() == kSize) return;
+  throw CLI::ValidationError("--range", std::to_string(options.range.size()) + " numbers given, but a " +
+                                            std::to_string(Pose::kDim) + "D graph takes " +
+                                            (kSize == 4 ? "X Y Z ANGLE" : "X Y ANGLE"));
+}
+
+// What the user gave; the rest from a sample of the file.
+template <class Pose>
+CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay<Pose>& replay,
+                                 const CompactCommandOptions& from, nlohmann::ordered_json& sample) {
+  constexpr int kSize = Displacement<Pose>::kSize;
+  CompactOptions<Pose> options;
+  options.strategy = *from.strategy;
+  options.distance.angle = from.angle;
+  options.composition = from.composition;
+  options.innovation_quantile = from.innovation_quantile;
+  options.solver.robust = from.robust;
+  options.log = from.log;
+  options.max_registrations = from.max_registrations;
+  options.record = from.record;
+  options.link_covariance = replay.LinkCovariance();
+  options.probability = from.probability.value_or(options.probability);
+  const bool complete = !from.range.empty() && from.min_loop_gain && from.min_pose_gain;
+  if (!from.thresholds.empty()) {
+    ReadThresholds(from.thresholds, options);
+  } else if (from.auto_thresholds || (!complete && from.strategy != Strategy::kApal)) {
+    const double before = SecondsNow();
+    const Thresholds<Pose> chosen = SampleWithProgress(graph, from.sample, "sample", from.quiet, options);
+    sample = {{"poses", chosen.sample_poses},
+              {"loop_gain_90", chosen.loop_gain_90},
+              {"pose_gain_90", chosen.pose_gain_90},
+              {"seconds", SecondsNow() - before}};
+  }
+  if (!from.range.empty()) options.range = Eigen::Map<const Vector<kSize>>(from.range.data());
+  options.probability = from.probability.value_or(options.probability);
+  options.min_loop_gain = from.min_loop_gain.value_or(options.min_loop_gain);
+  options.min_pose_gain = from.min_pose_gain.value_or(options.min_pose_gain);
+  return options;
+}
+
+// Where the file has loops and next to none of them is in the map, why, and what to change.
+void WarnOfLostLoops(const Stats& stats, const CompactCommandOptions& options) {
+  const auto number = [&](const char* key) { return stats.more.at(key).get<long>(); };
+  const long offered = number("links_offered"), kept = number("links_kept"), refused = number("links_refused");
+  if (offered == 0 || options.strategy == Strategy::kApal || options.strategy == Strategy::kRfpfl) return;
+  const bool are_rare = 10 * offered <= static_cast<long>(stats.poses);
+  const bool distrusted = refused > kept, uninformative = kept == 0 || (are_rare && 5 * kept < offered);
+  if (!distrusted && !uninformative) return;
+  std::cerr << "terse: warning: " << kept << " of " << offered << " loops are in the map; ";
+  if (distrusted) {
+    std::cerr << refused
+              << " disagree with it by more than the innovation test allows: loops are wrong, or odometry is "
+              << "worse than its information says (--innovation-quantile, --no-innovation-test, --robust gnc)\n";
+  } else {
+    std::cerr << "the others tell less than --min-loop-gain "
+              << stats.more.at("thresholds").at("min_loop_gain").get<double>() << " nats\n";
+  }
+}
+
+void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
+  const auto percent = [](double part, double whole) { return whole > 0 ? 100 * part / whole : 100.0; };
+  const auto number = [&](const char* key) { return stats.more.at(key).get<long>(); };
+  char line[256];
+  std::snprintf(line, sizeof(line),
+                "%s kept %ld of %zu poses (%.1f %%) and %ld of %ld links (%.1f %%); %ld registrations tried, %ld links "
+                "refused by the innovation test\n",
+                Name(*options.strategy), number("poses_kept"), stats.poses,
+                percent(static_cast<double>(number("poses_kept")), static_cast<double>(stats.poses)),
+                number("links_kept"), number("links_offered"),
+                percent(static_cast<double>(number("links_kept")), static_cast<double>(number("links_offered"))),
+                number("registrations_tried"), number("links_refused"));
+  std::cout << line;
+  std::snprintf(line, sizeof(line), "chi2 %g of the kept map, %.2f s; results in %s\n", stats.chi2, stats.seconds_total,
+                options.directory.c_str());
+  std::cout << line;
+  if (stats.more.contains("errors")) {
+    const auto& errors = stats.more.at("errors");
+    std::snprintf(line, sizeof(line), "ATE %.4g m, %.4g deg against %s\n", errors.at("ate_m").get<double>(),
+                  errors.at("ate_deg").get<double>(), options.ground_truth.c_str());
+    std::cout << line;
+  }
+  FlushOutput();
+}
+
+// The random baseline keeps as many poses and links as a run by information does.
+template <class Pose>
+void DrawAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, const CompactCommandOptions& options,
+                  GraphReplay<Pose>& replay) {
+  GraphReplay<Pose> informed(graph);
+  settings.strategy = Strategy::kFpfl;
+  const CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), informed, "count", options.quiet);
+  replay.DrawAtRandom(run.PosesKept(), run.LinksKept(), options.seed);
+}
+
+// What there was before; nothing but for --continue.
+template <class Pose>
+struct Before {
+  CompactMap<Pose> map;
+  RunRows rows;
+  InformationScale information_scale;
+};
+
+template <class Pose>
+Before<Pose> TakeBefore(const std::optional<CompactMapFile>& file, const CompactCommandOptions& options) {
+  if (!file) return {};
+  const auto* map = std::get_if<CompactMap<Pose>>(&file->map);
+  if (map == nullptr) {
+    throw std::invalid_argument(std::to_string(Pose::kDim) + "D, but the map to continue, " + options.continued +
+                                "/graph.json, is not");
+  }
+  return {*map, ReadRunRows(options.continued, map->poses.size()), file->information_scale};
+}
+
+template <class Pose>
+CompactPoseSlam<Pose> StartFrom(const CompactMap<Pose>& map, const CompactOptions<Pose>& settings,
+                                const CompactCommandOptions& options) {
+  if (map.poses.empty()) return CompactPoseSlam<Pose>(settings);
+  std::optional<CompactPoseSlam<Pose>> slam;
+  AddPathToErrors(options.continued + "/graph.json", [&] { slam = CompactPoseSlam<Pose>::Restore(map, settings); });
+  return std::move(*slam);
+}
+
+template <class Pose>
+std::optional<TruePoses> ReadTruthOfAll(const CompactMap<Pose>& before, const GraphReplay<Pose>& replay,
+                                        const std::string& path) {
+  if (path.empty()) return std::nullopt;
+  std::vector<PoseId> ids;
+  for (const auto& pose : before.poses) ids.push_back(pose.id);
+  for (const auto& input : replay.Inputs()) ids.push_back(input.id);
+  return ReadTruePoses<Pose>(ids, path);
+}
+
+// The graph that the run sees, and how its information came about.
+template <class Pose>
+struct Calibrated {
+  PoseGraph<Pose> graph;
+  InformationScale scale;
+  nlohmann::ordered_json report;  // of stats.json
+};
+
+// A map goes on with the scales that it began with.
+template <class Pose>
+Calibrated<Pose> Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& before,
+                           const CompactCommandOptions& options) {
+  Calibrated<Pose> out;
+  std::string message;
+  if (!before.map.poses.empty()) {
+    out.scale = before.information_scale;
+    out.report = {{"verdict", "continued"}, {"sigma_scale", ToJson(out.scale)}};
+    message = "standard deviations scaled as in " + options.continued;
+  } else if (options.calibrate) {
+    const InformationCalibration found = CalibrateInformation(graph);
+    out.scale = found.scale;
+    out.report = ToJson(found);
+    message = found.message + "; scaled to these (--calibrate-information off leaves it)";
+  } else {
+    out.report = {{"verdict", "off"}, {"sigma_scale", ToJson(out.scale)}};
+  }
+  if (!out.scale.IsOne()) out.graph = ScaleInformation(graph, out.scale);
+  if (!out.scale.IsOne() && !options.quiet) std::cerr << "terse: note: " << options.path << ": " << message << '\n';
+  return out;
+}
+
+template <class Pose>
+void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, CompactCommandOptions options,
+           double seconds_read, double start) {
+  const Calibrated<Pose> calibrated = Calibrate(file_graph, before, options);
+  if (!calibrated.scale.IsOne() && options.innovation_quantile == kInnovationQuantile) {
+    options.innovation_quantile = kInnovationQuantileOfScaled;
+  }
+  const PoseGraph<Pose>& graph = calibrated.scale.IsOne() ? file_graph : calibrated.graph;
+  std::vector<PoseId> seen;
+  for (const auto& pose : before.map.poses) seen.push_back(pose.id);
+  GraphReplay<Pose> replay = seen.empty() ? GraphReplay<Pose>(graph) : GraphReplay<Pose>(graph, seen);
+  if (!seen.empty() && replay.Inputs().empty() && !options.quiet) {
+    std::cerr << "terse: warning: all poses of " << options.path << " are in " << options.continued
+              << " already: the map stays as it is\n";
+  }
+  // Before the long run, not after it: the trajectory has ids for stamps.
+  for (const auto& input : replay.Inputs()) RequireStampId(input.id);
+  const auto truth = ReadTruthOfAll(before.map, replay, options.ground_truth);
+  const TruePoses* known = truth ? &*truth : nullptr;
+  nlohmann::ordered_json sample;
+  const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, sample);
+  if (settings.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
+  StepRecorder<Pose> recorder(static_cast<int>(replay.Inputs().size()), known);
+  CompactPoseSlam<Pose> slam = StartFrom(before.map, settings, options);
+  const int links_before = slam.LinksKept();
+  const CompactRun<Pose> run = RunWithProgress<Pose>(
+      std::move(slam), replay, "poses", options.quiet,
+      [&](const CompactPoseSlam<Pose>& now, const Decision& decision, double s) { recorder.Add(now, decision, s); });
+  const RunTrajectories trajectories = MakeRunTrajectories(run.slam, options.recovery, known);
+  Stats stats = MakeStats(graph, run, EvaluateRun(trajectories, Pose::kDim));
+  stats.more["information"] = calibrated.report;
+  if (!sample.is_null()) stats.more["sample"] = sample;
+  if (!seen.empty()) {
+    stats.more["continued"] = {{"poses", seen.size()}, {"links_kept", links_before}};
+    stats.more["links_offered"] = run.links_offered + links_before;
+  }
+  stats.seconds_read = seconds_read;
+  const RunResults<Pose> results{run.slam,
+                                 run.result,
+                                 run.decisions,
+                                 recorder.Steps(),
+                                 trajectories,
+                                 options.recovery,
+                                 options.read.rotation_information,
+                                 before.rows,
+                                 calibrated.scale};
+  stats.seconds_covariance = WriteRun(results, options.directory);
+  stats.seconds_total = SecondsNow() - start;
+  WriteJson(ToJson(stats), options.directory + "/stats.json");
+  if (!options.quiet) {
+    PrintSummary(stats, options);
+    WarnOfLostLoops(stats, options);
+  }
+  const std::string undetermined = run.slam.Solver().DescribeUndetermined();
+  if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
+}
+
+// Of --continue: what is not given is as it was.
+std::optional<CompactMapFile> ReadContinued(CompactCommandOptions& options) {
+  if (options.continued.empty()) return std::nullopt;
+  CompactMapFile file = ReadCompactMap(options.continued + "/graph.json");
+  if (!options.strategy) options.strategy = file.strategy;
+  if (options.strategy == Strategy::kRfpfl) {
+    throw CLI::ValidationError("--continue", "rfpfl draws from all poses beforehand: there is nothing to continue");
+  }
+  if (options.thresholds.empty() && !options.auto_thresholds)
+    options.thresholds = options.continued + "/thresholds.json";
+  return file;
+}
+
+void Compact(CompactCommandOptions options) {
+  // The folder of --continue may be that of --output: the map grows in place.
+  CheckOutputPaths(
+      RunFiles("--output", options.directory),
+      {{"FILE", options.path}, {"--thresholds", options.thresholds}, {"--ground-truth", options.ground_truth}});
+  const double start = SecondsNow();
+  const std::optional<CompactMapFile> before = ReadContinued(options);
+  if (!options.strategy) options.strategy = Strategy::kFpfl;
+  const GraphFile file = ReadGraph(options.path, options.read);
+  const double seconds_read = SecondsNow() - start;
+  if (!options.quiet) ReportRepairs(file, options.path);
+  std::visit([&](const auto& graph) { CheckRange(graph, options); }, file.graph);
+  // Before the long run, not after it.
+  RequireFolder(options.directory, "decisions.csv");
+  const auto run = [&](const auto& graph) {
+    using Pose = std::decay_t<decltype(*graph.Poses().front().T_world_body)>;
+    RunOn(graph, TakeBefore<Pose>(before, options), options, seconds_read, start);
+  };
+  AddPathToErrors(options.path, [&] { std::visit(run, file.graph); });
+  // Read back from the files, when the run is no longer in memory.
+  WriteReport({options.directory}, options.directory + "/report.html");
+}
+
+// What to do with which files.
+void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
+  AddChoice(
+      command, "--strategy", options.strategy,
+      {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kRfpfl}},
+      "All poses all links, all poses few links, few poses few links, or as few at random; --continue goes on as "
+      "before")
+      ->default_str("fpfl");
+  command
+      .add_option("--continue", options.continued,
+                  "Continue the map in this folder (its graph.json and thresholds.json) with the poses of FILE that it "
+                  "has not seen: FILE is the longer graph, or the new part alone, which names poses of the map")
+      ->type_name("DIR");
+  command
+      .add_option("--ground-truth", options.ground_truth,
+                  "True poses, a TUM or KITTI file or a graph: writes the errors of the run and of its steps")
+      ->type_name("FILE");
+}
+
+void AddThresholdOptions(CLI::App& command, CompactCommandOptions& options) {
+  command
+      .add_option("--range", options.range,
+                  "Sensor range in metres and radians; by default 1.5 times the longest link of the file, less one in "
+                  "a hundred")
+      ->expected(3, 4)
+      ->check(PositiveNumber())
+      ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
+  command
+      .add_option("--probability", options.probability,
+                  "Least probability of being in range, per dimension (0.1 unless a file says otherwise)")
+      ->check(NumberIn(0, 0.999999))
+      ->type_name("S");
+  command
+      .add_option("--min-pose-gain", options.min_pose_gain,
+                  "A pose is kept above this gain (nats), or if a loop closes at it")
+      ->check(NonNegativeNumber())
+      ->type_name("G");
+  command.add_option("--min-loop-gain", options.min_loop_gain, "A link is kept above this gain (nats)")
+      ->check(NonNegativeNumber())
+      ->type_name("G");
+  CLI::Option* file =
+      command
+          .add_option("--thresholds", options.thresholds, "Read them from a thresholds.json; options above override")
+          ->type_name("FILE");
+  CLI::Option* sampled = command.add_flag("--auto-thresholds", options.auto_thresholds,
+                                          "Choose them from a sample of the file, as if none were given");
+  AddSampleOption(command, options.sample)->excludes(file);
+  file->excludes(sampled);
+}
+
+// How poses and links are judged, and what is kept of that.
+void AddMethodOptions(CLI::App& command, CompactCommandOptions& options) {
+  command
+      .add_option("--max-registrations", options.max_registrations,
+                  "Links tried per pose, at most; those that promise the most information come first")
+      ->check(CLI::PositiveNumber.description(""))
+      ->type_name("N")
+      ->capture_default_str();
+  AddChoice(
+      command, "--record", options.record,
+      {{"none", Record::kNone}, {"decisions", Record::kDecisions}, {"candidates", Record::kCandidates}},
+      "What decisions.csv and decisions.jsonl keep of the search at every pose: counts, the links that were tried, "
+      "or the best of those not tried too");
+  AddInnovationOptions(command, options.innovation_quantile);
+  AddRobustOptions(command, options.robust);
+  AddChoice(command, "--composition", options.composition,
+            {{"first", CompositionOrder::kFirst}, {"fourth", CompositionOrder::kFourth}},
+            "Order of the covariance of chains over dropped poses");
+  AddChoice(command, "--angle", options.angle,
+            {{"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation}},
+            "The angle of the sensor range in 3D: between the view directions, or of the rotation");
+  AddSeedOption(command, options.seed, "Of --strategy rfpfl");
+  AddChoice(command, "--recover", options.recovery,
+            {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
+            "How dropped poses come back: as first estimated, chained to the kept pose before them, or fitted between "
+            "the kept poses around them");
+  AddChoice(
+      command, "--calibrate-information", options.calibrate, {{"auto", true}, {"off", false}},
+      "Whether information that nobody estimated (the unit matrix, one constant) and that the residuals contradict "
+      "is scaled to agree with them; --continue keeps the scales of its map");
+}
+
+}  // namespace
+
+void AddCompactCommand(CLI::App& app) {
+  auto options = std::make_shared<CompactCommandOptions>();
+  CLI::App* command = app.add_subcommand("compact", "Keep only the poses and links of a graph that carry information");
+  command->add_option("FILE", options->path, "The graph file (g2o, TORO or iSAM)")->required();
+  AddTaskOptions(*command, *options);
+  AddThresholdOptions(*command, *options);
+  AddMethodOptions(*command, *options);
+  AddReadOptions(*command, options->read);
+  command->add_option("--output", options->directory, "Folder for the results, made if it is missing")
+      ->required()
+      ->type_name("DIR");
+  command->add_flag("--quiet", options->quiet, "Print nothing but errors");
+  AddVerboseOption(*command, options->log);
+  command->footer(
+      "Example: terse generate ellipse-n --laps 1 --output laps.g2o --ground-truth laps.tum &&\n"
+      "         terse compact laps.g2o --strategy fpfl --ground-truth laps.tum --output laps_fpfl &&\n"
+      "         terse generate ellipse-n --laps 2 --output longer.g2o &&\n"
+      "         terse compact longer.g2o --continue laps_fpfl --output longer_fpfl");
+  command->callback([options] { Compact(*options); });
+}
+
+}  // namespace terse

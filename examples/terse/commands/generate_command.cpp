@@ -1,0 +1,246 @@
+#include <cmath>
+#include <iostream>
+#include <memory>
+#include <optional>
+
+#include "commands/commands.h"
+#include "commands/output_paths.h"
+#include "run/progress.h"
+#include "run/standard_output.h"
+#include "terse/core/atomic_file.h"
+#include "terse/core/batch_solver.h"
+#include "terse/core/generate.h"
+#include "terse/core/number_text.h"
+#include "terse/core/outliers.h"
+#include "terse/core/require_optimum.h"
+#include "terse/core/stamped_trajectory.h"
+#include "terse/core/trajectory.h"
+
+namespace terse {
+namespace {
+
+struct GenerateCommandOptions {
+  std::string scene, from, output, ground_truth, outliers_list;
+  GenerateOptions generate;
+  ReadOptions read;
+  bool quiet = false;
+};
+
+// The wrong loops as CSV, if asked for.
+class OutliersList {
+ public:
+  explicit OutliersList(const std::string& path) {
+    if (!path.empty()) file_.emplace(path).Stream() << "from,to\n";
+  }
+  template <class Pose>
+  void Add(const RelativePoseFactor<Pose>& edge) {
+    if (file_) file_->Stream() << std::to_string(edge.from.value) << ',' << std::to_string(edge.to.value) << '\n';
+  }
+  void Commit() {
+    if (file_) file_->Commit();
+  }
+
+ private:
+  std::optional<AtomicFile> file_;
+};
+
+// Numbers with a space before each.
+void Append(std::string& line, std::initializer_list<double> values) {
+  for (const double value : values) (line += ' ') += Shortest(value);
+}
+
+template <int N>
+void AppendUpperTriangle(std::string& line, const Matrix<N, N>& information) {
+  for (int i = 0; i < N; ++i) {
+    for (int j = i; j < N; ++j) Append(line, {information(i, j)});
+  }
+}
+
+void AppendPose(std::string& line, const SE2& T) {
+  Append(line, {T.Translation().x(), T.Translation().y(), T.Theta()});
+}
+void AppendPose(std::string& line, const SE3& T) {
+  const Quaternion& q = T.Rotation().Unit();
+  Append(line, {T.Translation().x(), T.Translation().y(), T.Translation().z(), q.x(), q.y(), q.z(), q.w()});
+}
+
+std::string VertexLine(PoseId id, const SE2& T) {
+  std::string line = "VERTEX_SE2 " + std::to_string(id.value);
+  AppendPose(line, T);
+  return line += '\n';
+}
+std::string VertexLine(PoseId id, const SE3& T) {
+  std::string line = "VERTEX_SE3:QUAT " + std::to_string(id.value);
+  AppendPose(line, T);
+  return line += '\n';
+}
+
+template <class Pose>
+std::string EdgeLine(const RelativePoseFactor<Pose>& edge) {
+  std::string line = Pose::kDim == 2 ? "EDGE_SE2 " : "EDGE_SE3:QUAT ";
+  line += std::to_string(edge.from.value) + ' ' + std::to_string(edge.to.value);
+  AppendPose(line, edge.T_from_to);
+  if constexpr (Pose::kDim == 2) {
+    AppendUpperTriangle<3>(line, edge.information);
+  } else {
+    AppendUpperTriangle<6>(line, InformationToFile(edge.information, RotationInformation::kQuaternion));
+  }
+  return line += '\n';
+}
+
+// The dead-reckoned pose after one more measurement, with nine decimals as all that the generator gives out: rounding
+// at every step keeps the last bits, in which machines may differ, from adding up.
+double Rounded(double value) { return std::round(value * 1e9) / 1e9; }
+SE2 Reckon(const SE2& T_world_from, const SE2& T_from_to) {
+  const SE2 T = T_world_from * T_from_to;
+  return SE2(Rounded(T.Translation().x()), Rounded(T.Translation().y()), Rounded(T.Theta()));
+}
+SE3 Reckon(const SE3& T_world_from, const SE3& T_from_to) {
+  const SE3 T = T_world_from * T_from_to;
+  const Quaternion& q = T.Rotation().Unit();
+  const Vector<3>& p = T.Translation();
+  return SE3(SO3(Quaternion(Rounded(q.w()), Rounded(q.x()), Rounded(q.y()), Rounded(q.z()))),
+             Vector<3>(Rounded(p.x()), Rounded(p.y()), Rounded(p.z())));
+}
+
+// Writes each pose and edge as it comes. A vertex gets its dead-reckoned value, as the public sets have it.
+template <class Pose>
+void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ostream* ground_truth,
+            OutliersList& outliers) {
+  Progress progress("generate", options.generate.poses, options.quiet);
+  Pose T_world_body_reckoned;
+  GenerateSink<Pose> sink;
+  sink.pose = [&](PoseId id, const Pose& T_world_body_true) {
+    if (id.value == 0) {
+      T_world_body_reckoned = T_world_body_true;
+      graph << VertexLine(id, T_world_body_reckoned);
+    }
+    if (ground_truth != nullptr) {
+      std::string line = std::to_string(id.value);
+      AppendPose(line, InSpace(T_world_body_true));
+      *ground_truth << line << '\n';
+    }
+    progress.Update(id.value);
+  };
+  sink.edge = [&](const RelativePoseFactor<Pose>& edge) {
+    if (edge.to.value - edge.from.value == 1) {
+      T_world_body_reckoned = Reckon(T_world_body_reckoned, edge.T_from_to);
+      graph << VertexLine(edge.to, T_world_body_reckoned);
+    }
+    graph << EdgeLine(edge);
+  };
+  sink.wrong_loop = [&](const RelativePoseFactor<Pose>& edge) {
+    graph << EdgeLine(edge);
+    outliers.Add(edge);
+  };
+  Generate(options.generate, sink);
+}
+
+void GenerateScene(const GenerateCommandOptions& options) {
+  std::optional<AtomicFile> graph, ground_truth;
+  if (!options.output.empty()) graph.emplace(options.output);
+  if (!options.ground_truth.empty()) ground_truth.emplace(options.ground_truth);
+  OutliersList outliers(options.outliers_list);
+  std::ostream& graph_stream = graph ? graph->Stream() : std::cout;
+  std::ostream* ground_truth_stream = ground_truth ? &ground_truth->Stream() : nullptr;
+  IsPlanar(options.generate.scene) ? Stream<SE2>(options, graph_stream, ground_truth_stream, outliers)
+                                   : Stream<SE3>(options, graph_stream, ground_truth_stream, outliers);
+  graph ? graph->Commit() : FlushOutput();
+  if (ground_truth) ground_truth->Commit();
+  outliers.Commit();
+}
+
+// A file has no truth; its optimum, without the wrong loops, is the best known.
+template <class Pose>
+std::vector<Pose> Optimum(const PoseGraph<Pose>& graph) {
+  BatchResult<Pose> result = SolveBatch(graph);
+  RequireOptimum(result);
+  return std::move(result.T_world_body);
+}
+
+template <class Pose>
+void AddToGraph(const PoseGraph<Pose>& graph, const GenerateCommandOptions& options) {
+  OutliersList outliers(options.outliers_list);
+  GraphWithWrongLoops<Pose> out;
+  AddPathToErrors(options.from, [&] {
+    out = AddWrongLoops(graph, Optimum(graph), options.generate.wrong_loop_percent, options.generate.seed);
+  });
+  for (const FactorId id : out.wrong) {
+    outliers.Add(std::get<RelativePoseFactor<Pose>>(out.graph.FindFactor(id)->factor));
+  }
+  WriteG2o(out.graph, options.output.empty() ? "/dev/stdout" : options.output);
+  outliers.Commit();
+}
+
+void RunGenerate(GenerateCommandOptions options) {
+  CheckOutputPaths({{"--output", options.output},
+                    {"--ground-truth", options.ground_truth},
+                    {"--outliers-list", options.outliers_list}},
+                   {{"--from", options.from}});
+  if (options.from.empty()) {
+    options.generate.scene = SceneFromName(options.scene).value();
+    GenerateScene(options);
+    return;
+  }
+  const GraphFile file = ReadGraph(options.from, options.read);
+  ReportRepairs(file, options.from);
+  std::visit([&](const auto& graph) { AddToGraph(graph, options); }, file.graph);
+}
+
+}  // namespace
+
+void AddGenerateCommand(CLI::App& app) {
+  auto options = std::make_shared<GenerateCommandOptions>();
+  CLI::App* command = app.add_subcommand(
+      "generate", "Make a synthetic data set with exact ground truth, or add wrong loops to a graph file");
+  CLI::Option* scene =
+      command
+          ->add_option("SCENE", options->scene,
+                       "ellipse (170 poses), ellipse-n (laps of an ellipse), sphere (2500), torus "
+                       "(5000), manhattan (2D, 3500) or garage (1661)")
+          ->check(OneOf({"ellipse", "ellipse-n", "sphere", "torus", "manhattan", "garage"}, {"stereo"}))
+          ->type_name("NAME");
+  CLI::Option* poses =
+      command->add_option("--poses", options->generate.poses, "Number of poses instead of the scene's own")
+          ->check(CLI::Range(2L, 1000000000L).description(""))
+          ->type_name("N");
+  CLI::Option* laps = command->add_option("--laps", options->generate.laps, "Laps of ellipse-n")
+                          ->check(CLI::Range(1, 1000000).description(""))
+                          ->type_name("N")
+                          ->capture_default_str();
+  AddSeedOption(*command, options->generate.seed, "Same seed, same data");
+  command->add_option("--output", options->output, "The g2o file, instead of standard output")->type_name("FILE");
+  CLI::Option* ground_truth =
+      command->add_option("--ground-truth", options->ground_truth, "The true trajectory, TUM with pose ids for stamps")
+          ->type_name("FILE");
+  CLI::Option* outliers =
+      command
+          ->add_option("--outliers", options->generate.wrong_loop_percent,
+                       "Add wrong loops, so many per cent of the true ones; all else stays the same")
+          ->check(CLI::Range(0.0, 1e9).description(""))
+          ->type_name("P");
+  command->add_option("--outliers-list", options->outliers_list, "The wrong loops as CSV: from,to")
+      ->needs(outliers)
+      ->type_name("FILE");
+  CLI::Option* from =
+      command
+          ->add_option("--from", options->from,
+                       "Add the wrong loops to this graph (g2o, TORO or iSAM) instead of a scene; the g2o written has "
+                       "its edges in online order")
+          ->needs(outliers)
+          ->type_name("FILE");
+  for (CLI::Option* of_scenes : {scene, poses, laps, ground_truth}) from->excludes(of_scenes);
+  AddReadOptions(*command, options->read);
+  command->add_flag("--quiet", options->quiet, "No progress line");
+  command->footer(
+      "Example: terse generate manhattan --poses 1000 --output city.g2o --ground-truth city.tum &&\n"
+      "         terse generate --from city.g2o --outliers 10 --outliers-list wrong.csv --output wrong.g2o");
+  AddGenerateStereo(*command);
+  command->callback([command, options] {
+    if (!command->get_subcommands().empty()) return;  // its own callback did the work
+    if (options->scene.empty() && options->from.empty()) throw CLI::RequiredError("SCENE or --from FILE");
+    RunGenerate(*options);
+  });
+}
+
+}  // namespace terse

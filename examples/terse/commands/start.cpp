@@ -1,0 +1,41 @@
+#include "commands/start.h"
+
+#include "terse/core/start_values.h"
+
+namespace terse {
+namespace {
+
+nlohmann::ordered_json ToJson(const StartTrial& trial) {
+  nlohmann::ordered_json out = {{"method", Name(trial.method)}};
+  if (!trial.unavailable.empty()) {
+    out["unavailable"] = trial.unavailable;
+    return out;
+  }
+  out["cost_at_start"] = trial.cost_at_start;
+  out["cost"] = trial.cost;
+  out["iterations"] = trial.iterations;
+  if (trial.same) out["same_as"] = Name(*trial.same);
+  return out;
+}
+
+}  // namespace
+
+template <class Pose>
+std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, const BatchOptions& options,
+                              nlohmann::ordered_json& stats) {
+  const bool automatic = method == InitialValues::kAuto;
+  StartChoice<Pose> start =
+      automatic ? StartFor(graph, options) : StartChoice<Pose>{method, ComputeInitialValues(graph, method), {}};
+  stats["initial"] = {{"method", Name(start.chosen)}, {"chosen_by", automatic ? "auto" : "option"}};
+  for (const StartTrial& trial : start.trials) stats["initial"]["compared"].push_back(ToJson(trial));
+  return std::move(start.T_world_body);
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                            \
+  template std::vector<Pose> StartValues<Pose>(const PoseGraph<Pose>&, InitialValues, const BatchOptions&, \
+                                               nlohmann::ordered_json&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse

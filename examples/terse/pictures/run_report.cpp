@@ -1,0 +1,188 @@
+#include "pictures/run_report.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <unordered_map>
+
+#include "pictures/compared_runs.h"
+#include "pictures/report_page.h"
+#include "pictures/svg_chart.h"
+#include "terse/compact/decision.h"
+#include "terse/compact/json_file.h"
+
+namespace terse {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// Not finite becomes null.
+Json Short(double value) {
+  if (!std::isfinite(value)) return nullptr;
+  char text[40];
+  std::snprintf(text, sizeof text, "%.7g", value);
+  return std::strtod(text, nullptr);
+}
+Json Short(const std::optional<double>& value) { return value ? Short(*value) : Json(nullptr); }
+Json Flag(const std::optional<bool>& value) { return value ? Json(*value ? 1 : 0) : Json(); }
+
+Json Positions(const std::vector<SE3>& poses) {
+  Json out;
+  constexpr const char* kNames[] = {"x", "y", "z"};
+  for (int k = 0; k < 3; ++k) {
+    Json& values = out[kNames[k]] = Json::array();
+    for (const SE3& T : poses) values.push_back(Short(T.Translation()[k]));
+  }
+  return out;
+}
+
+const std::vector<std::string>& Verdicts() {
+  static const std::vector<std::string> names = [] {
+    std::vector<std::string> out;
+    for (int k = 0; k <= static_cast<int>(PoseVerdict::kDrawn); ++k) out.push_back(Name(static_cast<PoseVerdict>(k)));
+    return out;
+  }();
+  return names;
+}
+
+Json Poses(const RunFolder& run) {
+  Json out;
+  out["id"] = run.ids;
+  out["kept"] = Json::array();
+  for (const char kept : run.kept) out["kept"].push_back(static_cast<int>(kept));
+  out["verdict"] = Json::array();
+  for (const RunDecision& decision : run.decisions) {
+    const auto at = std::find(Verdicts().begin(), Verdicts().end(), decision.verdict.value_or(""));
+    out["verdict"].push_back(at != Verdicts().end() ? Json(at - Verdicts().begin()) : Json(nullptr));
+  }
+  out.update(Positions(run.T_world_body));
+  return out;
+}
+
+Json Links(const RunFolder& run) {
+  Json out = {{"from", Json::array()},
+              {"to", Json::array()},
+              {"step", Json::array()},
+              {"gain", Json::array()},
+              {"innovation", Json::array()}};
+  for (const RunLink& link : run.links) {
+    out["from"].push_back(link.from);
+    out["to"].push_back(link.to);
+    out["step"].push_back(link.step);
+    out["gain"].push_back(Short(link.gain));
+    out["innovation"].push_back(Short(link.innovation));
+  }
+  return out;
+}
+
+Json Chain(const RunFolder& run) {
+  Json out = {{"from", Json::array()}, {"to", Json::array()}, {"composed", Json::array()}};
+  for (const RunChain& edge : run.chain) {
+    out["from"].push_back(edge.from);
+    out["to"].push_back(edge.to);
+    out["composed"].push_back(edge.dropped);
+  }
+  return out;
+}
+
+Json Decisions(const RunFolder& run) {
+  Json out = {{"pose_gain", Json::array()},
+              {"registrations", Json::array()},
+              {"accepted", Json::array()},
+              {"refused", Json::array()},
+              {"candidates", Json::array()}};
+  for (const RunDecision& decision : run.decisions) {
+    out["pose_gain"].push_back(Short(decision.pose_gain));
+    out["registrations"].push_back(decision.registrations_tried);
+    out["accepted"].push_back(decision.links_accepted);
+    out["refused"].push_back(decision.links_refused);
+    Json candidates = Json::array();
+    for (const RunCandidate& c : decision.candidates) {
+      candidates.push_back({c.pose, Short(c.probability), Short(c.gain), Short(c.measured_gain), c.accepted ? 1 : 0,
+                            Short(c.innovation), Flag(c.tried), Flag(c.measured)});
+    }
+    out["candidates"].push_back(std::move(candidates));
+  }
+  return out;
+}
+
+Json Covariances(const RunFolder& run) {
+  Json out = {{"pose", Json::array()}, {"position", Json::array()}};
+  for (const RunCovariance& c : run.covariances) {
+    const Matrix<3, 3>& S = c.position;
+    out["pose"].push_back(c.pose);
+    out["position"].push_back(
+        {Short(S(0, 0)), Short(S(0, 1)), Short(S(0, 2)), Short(S(1, 1)), Short(S(1, 2)), Short(S(2, 2))});
+  }
+  return out;
+}
+
+// All columns but the pose's id.
+Json Steps(const RunFolder& run) {
+  static const std::unordered_map<std::string, std::string> kRenamed = {{"gain_nats", "gain"}};
+  Json out;
+  for (const auto& [column, values] : run.steps) {
+    if (column == "pose") continue;
+    const auto renamed = kRenamed.find(column);
+    Json& list = out[renamed != kRenamed.end() ? renamed->second : column] = Json::array();
+    for (const double value : values) list.push_back(Short(value));
+  }
+  return out;
+}
+
+Json ToJson(const RunFolder& run) {
+  Json out;
+  out["name"] = run.name;
+  out["dimension"] = run.dimension;
+  out["poses"] = Poses(run);
+  out["verdicts"] = Verdicts();
+  out["truth"] = run.T_world_body_true ? Positions(*run.T_world_body_true) : Json(nullptr);
+  out["links"] = Links(run);
+  out["chain"] = Chain(run);
+  out["decisions"] = Decisions(run);
+  out["covariances"] = Covariances(run);
+  out["steps"] = Steps(run);
+  // That of compact runs, which the command offers no choice of.
+  out["gate"] = "newton_decrement";
+  out["gate_unit"] = "share of chi2";
+  out["thresholds"] = ParseJson<Json>(run.thresholds_json, run.path + "/thresholds.json");
+  out["thresholds"].erase("link_covariance");
+  out["stats"] = ParseJson<Json>(run.stats_json, run.path + "/stats.json");
+  return out;
+}
+
+}  // namespace
+
+Json ReportToJson(const std::vector<RunFolder>& runs) {
+  Json out;
+  out["format"] = "terse-report-1";
+  out["version"] = TERSE_VERSION;
+  out["runs"] = Json::array();
+  for (const RunFolder& run : runs) out["runs"].push_back(ToJson(run));
+  return out;
+}
+
+void WriteReport(const std::vector<RunFolder>& runs, const std::string& path) {
+  static const std::string kPlace = "\"@TERSE_REPORT_DATA@\"";
+  std::string page = ReportPage();
+  const std::string data = ReportToJson(runs).dump(-1, ' ', false, Json::error_handler_t::replace);
+  std::string safe;  // no "</script>" in it
+  safe.reserve(data.size());
+  for (const char c : data) {
+    if (c == '<') {
+      safe += "\\u003c";
+    } else {
+      safe += c;
+    }
+  }
+  const std::size_t at = page.find(kPlace);
+  if (at == std::string::npos) throw std::logic_error("the report's page has no place for its data");
+  WriteText(page.replace(at, kPlace.size(), safe), path);
+}
+
+void WriteReport(const std::vector<std::string>& folders, const std::string& path) {
+  WriteReport(ReadRunFolders(folders), path);
+}
+
+}  // namespace terse

@@ -1,0 +1,51 @@
+#include "run/compact_stats.h"
+
+#include "terse/compact/compact_json.h"
+
+namespace terse {
+
+std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int dimension) {
+  if (!trajectories.truth || trajectories.estimate.stamps.size() < 2) return std::nullopt;
+  EvaluateOptions how;
+  how.alignment = dimension == 2 ? Alignment::kSE2 : Alignment::kSE3;
+  how.all_pairs = false;
+  return Evaluate(trajectories.estimate.T_world_body, trajectories.truth->T_world_body, how);
+}
+
+template <class Pose>
+Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const std::optional<Evaluation>& errors) {
+  Stats stats;
+  const EdgeCounts kept = CountEdges(run.slam.Solver().Graph());
+  stats.poses = static_cast<std::size_t>(run.slam.PosesSeen());
+  stats.counts = CountEdges(graph);
+  stats.step_seconds = run.step_seconds;
+  stats.chi2 = run.result.chi2;
+  stats.normalized_chi2 = kept.scalars > 0 ? run.result.chi2 / static_cast<double>(kept.scalars) : 0;
+  stats.log_determinant = run.result.log_determinant;
+  stats.iterations = run.result.iterations;
+  stats.converged = run.result.Converged();
+  stats.termination = Name(run.result.termination);
+  stats.phases = run.slam.Solver().Seconds();
+  stats.more["strategy"] = Name(run.slam.Options().strategy);
+  stats.more["poses_kept"] = run.PosesKept();
+  stats.more["links_kept"] = run.LinksKept();
+  stats.more["links_offered"] = run.links_offered;
+  stats.more["registrations_tried"] = run.registrations_tried;
+  stats.more["links_refused"] = run.links_refused;
+  stats.more["restarts"] = run.slam.Solver().Restarts();
+  nlohmann::ordered_json thresholds = ThresholdsToJson(run.slam.Options());
+  thresholds.erase("link_covariance");
+  stats.more["thresholds"] = std::move(thresholds);
+  if (errors) {
+    stats.more["errors"] = {{"ate_m", errors->ate.translation_m},
+                            {"ate_deg", errors->ate.rotation_deg},
+                            {"rpe_m", errors->rpe.translation_m},
+                            {"rpe_deg", errors->rpe.rotation_deg}};
+  }
+  return stats;
+}
+
+template Stats MakeStats<SE2>(const PoseGraph<SE2>&, const CompactRun<SE2>&, const std::optional<Evaluation>&);
+template Stats MakeStats<SE3>(const PoseGraph<SE3>&, const CompactRun<SE3>&, const std::optional<Evaluation>&);
+
+}  // namespace terse

@@ -1,0 +1,20 @@
+#pragma once
+// stats.json of a run over a stored graph: docs/outputs.md.
+
+#include <optional>
+
+#include "run/run_statistics.h"
+#include "terse/compact/compact_graph.h"
+#include "terse/compact/run_writer.h"
+#include "terse/core/evaluate.h"
+
+namespace terse {
+
+// ATE and RPE from each pose to the next; absent without the truth of two poses at least.
+std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int dimension);
+
+// Times but those of its steps are the caller's.
+template <class Pose>
+Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const std::optional<Evaluation>& errors);
+
+}  // namespace terse

@@ -1,0 +1,205 @@
+#include "tables/compact_table.h"
+
+#include <algorithm>
+
+#include "pictures/run_report.h"
+#include "run/compact_run.h"
+#include "run/compact_stats.h"
+#include "run/progress.h"
+#include "run/run_statistics.h"
+#include "terse/compact/json_file.h"
+#include "terse/compact/run_steps.h"
+#include "terse/compact/run_writer.h"
+#include "terse/core/stamped_trajectory.h"
+#include "terse/core/writable.h"
+#include "terse/covariance/incremental_marginals.h"
+
+namespace terse {
+namespace {
+
+template <class Pose>
+class TableRun {
+ public:
+  TableRun(const NamedGraph<Pose>& named, const CompactTableOptions& options)
+      : named_(named), options_(options), is_giant_(named.graph.Poses().size() > options.most_poses) {}
+
+  CompactTableRow Run() {
+    const GraphReplay<Pose> replay(named_.graph);
+    row_.graph = named_.is.name;
+    row_.paper = named_.is.paper;
+    row_.poses = static_cast<int>(named_.graph.Poses().size());
+    row_.links = replay.LinksOffered();
+    reference_ = named_.reference;
+    row_.reference = reference_.kind;
+    if (reference_.kind == ReferenceKind::kOptimum || is_giant_) SolveAll();
+    FindTruth();
+    ChooseThresholds();
+    RunFpfl();
+    is_giant_ ? TakeOptimumAsApal() : RunApal();
+    if (options_.apfl) row_.apfl = RunStrategy(Strategy::kApfl).first;
+    RunRandom();
+    if (options_.norms) {
+      row_.norms = ComputeNorms(named_.graph, settings_, row_.graph + " norms", options_.quiet);
+    }
+    return std::move(row_);
+  }
+
+ private:
+  using Trajectory = std::vector<RecoveredPose<Pose>>;
+
+  void SolveAll() {
+    Progress progress(row_.graph + " optimum", 0, options_.quiet);
+    progress.Update(0);
+    optimum_ = BatchOptimum(named_.graph).T_world_body;
+    if (reference_.kind == ReferenceKind::kOptimum) reference_.T_world_body = optimum_;
+  }
+
+  TrajectoryErrors Errors(const Trajectory& trajectory) const {
+    return ComputeErrors(named_.graph, reference_, trajectory, options_.most_poses);
+  }
+
+  // For the folders, where it is known.
+  void FindTruth() {
+    if (options_.folder.empty() || named_.reference.kind == ReferenceKind::kOptimum) return;
+    truth_.emplace();
+    for (std::size_t k = 0; k < reference_.T_world_body.size(); ++k) {
+      (*truth_)[named_.graph.Poses()[k].id.value] = InSpace(reference_.T_world_body[k]);
+    }
+  }
+
+  void ChooseThresholds() {
+    const double before = SecondsNow();
+    SampleWithProgress(named_.graph, options_.sample, row_.graph + " sample", options_.quiet, settings_);
+    const auto& range = settings_.range;
+    row_.thresholds = {{range.data(), range.data() + range.size()},
+                       settings_.probability,
+                       settings_.min_loop_gain,
+                       settings_.min_pose_gain,
+                       SecondsNow() - before};
+  }
+
+  // With the covariances of every step, or (APFL, FPFL, random) those that it asks for itself.
+  std::pair<StrategyResult, CompactRun<Pose>> RunStrategy(Strategy strategy, std::optional<std::uint64_t> seed = {}) {
+    GraphReplay<Pose> replay(named_.graph);
+    if (seed) replay.DrawAtRandom(row_.fpfl.poses, row_.fpfl.links, *seed);
+    CompactOptions<Pose> settings = settings_;
+    settings.strategy = strategy;
+    StrategyResult result;
+    std::unique_ptr<IncrementalMarginals<Pose>> marginals;
+    StepRecorder<Pose> recorder(row_.poses, truth_ ? &*truth_ : nullptr);
+    double solving = 0, covariances = 0;
+    const auto after_step = [&](const CompactPoseSlam<Pose>& slam, const Decision& decision, double seconds) {
+      solving += seconds;
+      if (strategy == Strategy::kApal) {
+        if (!marginals) marginals = std::make_unique<IncrementalMarginals<Pose>>(slam.Solver());
+        const double before = SecondsNow();
+        marginals->Update();
+        covariances += SecondsNow() - before;
+      }
+      recorder.Add(slam, decision, seconds);
+      const CompactStep& now = recorder.Steps().back();
+      if (!now.hessian_nonzeros) return;
+      result.growth.push_back({static_cast<int>(recorder.Steps().size()), now.poses, now.links, solving + covariances,
+                               *now.hessian_nonzeros, *now.factor_nonzeros});
+    };
+    CompactRun<Pose> run = RunWithProgress<Pose>(CompactPoseSlam<Pose>(settings), replay,
+                                                 row_.graph + ' ' + Name(strategy), options_.quiet, after_step);
+    result.poses = run.PosesKept();
+    result.links = run.LinksKept();
+    result.registrations = run.registrations_tried;
+    result.seconds_solving = solving;
+    if (strategy == Strategy::kApal) result.seconds_covariances = covariances;
+    result.errors = Errors(run.slam.Trajectory());
+    const bool is_first = !seed || *seed == options_.seed;
+    if (is_first && !options_.folder.empty()) WriteFolder(run, recorder.Steps());
+    return {std::move(result), std::move(run)};
+  }
+
+  void WriteFolder(const CompactRun<Pose>& run, const std::vector<CompactStep>& steps) const {
+    const std::string folder = options_.folder + '/' + row_.graph + '/' + Name(run.slam.Options().strategy);
+    RequireFolder(folder, "decisions.csv");
+    const RunTrajectories trajectories = MakeRunTrajectories(run.slam, Recovery::kV2, truth_ ? &*truth_ : nullptr);
+    Stats stats = MakeStats(named_.graph, run, EvaluateRun(trajectories, Pose::kDim));
+    stats.seconds_covariance = WriteRun<Pose>({run.slam, run.result, run.decisions, steps, trajectories}, folder);
+    stats.seconds_total = run.Seconds() + stats.seconds_covariance;
+    WriteJson(ToJson(stats), folder + "/stats.json");
+    WriteReport({folder}, folder + "/report.html");
+  }
+
+  void RunFpfl() {
+    auto [result, run] = RunStrategy(Strategy::kFpfl);
+    row_.fpfl = std::move(result);
+    row_.recovery["v0"] = Errors(run.slam.Trajectory(Recovery::kV0));
+    row_.recovery["v1"] = Errors(run.slam.Trajectory(Recovery::kV1));
+    row_.recovery["v2"] = *row_.fpfl.errors;
+  }
+
+  void RunApal() { row_.apal = RunStrategy(Strategy::kApal).first; }
+
+  void TakeOptimumAsApal() {
+    row_.apal.poses = row_.poses;
+    row_.apal.links = row_.links;
+    if (reference_.kind == ReferenceKind::kOptimum) return;
+    Trajectory all;
+    for (std::size_t k = 0; k < optimum_.size(); ++k) {
+      all.push_back({named_.graph.Poses()[k].id, true, optimum_[k]});
+    }
+    row_.apal.errors = Errors(all);
+  }
+
+  // The mean of the errors.
+  void RunRandom() {
+    if (options_.random_runs < 1) return;
+    TrajectoryErrors mean;
+    const double share = 1.0 / options_.random_runs;
+    for (int k = 0; k < options_.random_runs; ++k) {
+      const std::uint64_t seed = options_.seed + static_cast<std::uint64_t>(k);
+      StrategyResult result = RunStrategy(Strategy::kRfpfl, seed).first;
+      for (PoseError TrajectoryErrors::*kind :
+           {&TrajectoryErrors::ate, &TrajectoryErrors::rpe, &TrajectoryErrors::rpe_all}) {
+        (mean.*kind).translation_m += share * ((*result.errors).*kind).translation_m;
+        (mean.*kind).rotation_deg += share * ((*result.errors).*kind).rotation_deg;
+      }
+      mean.stride = result.errors->stride;
+      row_.rfpfl = std::move(result);
+    }
+    row_.rfpfl->errors = mean;
+    row_.rfpfl->growth.clear();
+  }
+
+  const NamedGraph<Pose>& named_;
+  const CompactTableOptions& options_;
+  bool is_giant_;
+  Reference<Pose> reference_;
+  std::vector<Pose> optimum_;
+  std::optional<TruePoses> truth_;
+  CompactOptions<Pose> settings_;
+  CompactTableRow row_;
+};
+
+}  // namespace
+
+std::optional<double> StrategyResult::Seconds() const {
+  if (!seconds_solving) return std::nullopt;
+  return *seconds_solving + seconds_covariances.value_or(0);
+}
+
+std::optional<double> CompactTableRow::AteRatio(const StrategyResult& of) const {
+  if (reference == ReferenceKind::kOptimum || !of.errors || !apal.errors) return std::nullopt;
+  return of.errors->ate.translation_m / apal.errors->ate.translation_m;
+}
+
+std::optional<double> CompactTableRow::TimeRatio() const {
+  if (!apal.Seconds() || !fpfl.Seconds()) return std::nullopt;
+  return *apal.Seconds() / *fpfl.Seconds();
+}
+
+template <class Pose>
+CompactTableRow RunCompactTable(const NamedGraph<Pose>& named, const CompactTableOptions& options) {
+  return TableRun<Pose>(named, options).Run();
+}
+
+template CompactTableRow RunCompactTable<SE2>(const NamedGraph<SE2>&, const CompactTableOptions&);
+template CompactTableRow RunCompactTable<SE3>(const NamedGraph<SE3>&, const CompactTableOptions&);
+
+}  // namespace terse
