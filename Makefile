@@ -16,7 +16,7 @@ bench_packages = libbenchmark-dev libceres-dev
 node_packages = $(if $(shell command -v npm),,nodejs npm)
 browser_packages = $(if $(shell command -v chromium || command -v chromium-browser || command -v google-chrome),,chromium)
 test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_packages) $(node_packages) $(browser_packages) \
-  python3-pytest mypy man-db bash-completion pkg-config
+  python3-pytest python3-venv mypy man-db bash-completion pkg-config
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
 .PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
@@ -123,7 +123,7 @@ format-check: ## fail if a source is not formatted
 	@printf '%s\n' $(sources) | xargs -n 16 -P $(JOBS) clang-format --dry-run -Werror
 
 clean: ## remove all that was built
-	@rm -rf build build-debug build-asan build-tsan build-tidy build-bench
+	@rm -rf build build-debug build-asan build-tsan build-tidy build-bench build-pip
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1: /p' $(MAKEFILE_LIST) | awk -F': ' '{printf "make %-17s %s\n", $$1, $$2}'

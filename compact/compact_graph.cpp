@@ -10,9 +10,7 @@ namespace terse {
 
 template <class Pose>
 PoseGraph<Pose> CompactRun<Pose>::KeptGraph() const {
-  PoseGraph<Pose> kept = slam.Solver().Graph();
-  for (std::size_t k = 0; k < result.T_world_body.size(); ++k) kept.SetPose(kept.Poses()[k].id, result.T_world_body[k]);
-  return kept;
+  return slam.Solver().Graph().WithPoses(result.T_world_body);
 }
 
 template <class Pose>
@@ -51,23 +49,24 @@ CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>&
 }
 
 template <class Pose>
-CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options) {
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options,
+                              const AfterStep<Pose>& after_step) {
   if (options.strategy == Strategy::kRfpfl) {
     throw std::invalid_argument("rfpfl draws its poses from a replay beforehand: call RunCompact with it");
   }
   GraphReplay<Pose> replay(graph);
-  return RunCompact(CompactPoseSlam<Pose>(options), replay);
+  return RunCompact(CompactPoseSlam<Pose>(options), replay, after_step);
 }
 
 template <class Pose>
-CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy) {
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, const AfterStep<Pose>& after_step) {
   CompactOptions<Pose> options;
   options.strategy = strategy;
   const InformationScale scale = CalibrateInformation(graph).scale;
   const PoseGraph<Pose> scaled = scale.IsOne() ? graph : ScaleInformation(graph, scale);
   if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
   SampleThresholds(scaled, options);
-  CompactRun<Pose> run = CompactGraph(scaled, options);
+  CompactRun<Pose> run = CompactGraph(scaled, options, after_step);
   run.information_scale = scale;
   return run;
 }
@@ -89,8 +88,9 @@ Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<P
   template struct CompactRun<Pose>;                                                                                    \
   template std::vector<Decision> AddPoses<Pose>(CompactPoseSlam<Pose>&, const GraphReplay<Pose>&, const StepWatch&);   \
   template CompactRun<Pose> RunCompact<Pose>(CompactPoseSlam<Pose>, const GraphReplay<Pose>&, const AfterStep<Pose>&); \
-  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&);                   \
-  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, Strategy);                                      \
+  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&,                    \
+                                               const AfterStep<Pose>&);                                                \
+  template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, Strategy, const AfterStep<Pose>&);              \
   template Thresholds<Pose> SampleThresholds<Pose>(const PoseGraph<Pose>&, CompactOptions<Pose>&, SampleOptions);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -270,6 +270,15 @@ void CompactPoseSlam<Pose>::Remember(const Current& current) {
 }
 
 template <class Pose>
+Decision CompactPoseSlam<Pose>::AddPose(PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry,
+                                        const Registration<Pose>& registration) {
+  CompactInput<Pose> input;
+  input.id = id;
+  input.odometry = odometry;
+  return AddPose(input, registration);
+}
+
+template <class Pose>
 Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration) {
   Current current = Start(input);
   TakeOffers(current);

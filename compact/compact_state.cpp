@@ -3,33 +3,10 @@
 #include <algorithm>
 
 #include "compact_pose_slam_parts.h"
+#include "terse/compact/state_members.h"
 #include "terse/core/log_message.h"
-#include "terse/core/state_members.h"
 
 namespace terse {
-
-template <class Archive, class Pose>
-void Serialize(Archive& archive, UncertainPose<Pose>& pose) {
-  auto& [T_a_b, covariance] = pose;
-  archive(T_a_b, covariance);
-}
-
-template <class Archive>
-void Serialize(Archive& archive, DistanceOptions& options) {
-  auto& [angle, view_axis] = options;
-  archive(angle, view_axis);
-}
-
-template <class Archive, class Pose>
-void Serialize(Archive& archive, CompactOptions<Pose>& options) {
-  auto& [strategy, range, probability, plausible_quantile, max_registrations, failed_neighbourhood, min_loop_gain,
-         min_pose_gain, link_covariance, distance, composition, innovation_quantile, consensus, record, most_recorded,
-         solver,
-         log] = options;  // the log is not stored
-  archive(strategy, range, probability, plausible_quantile, max_registrations, failed_neighbourhood, min_loop_gain,
-          min_pose_gain, link_covariance, distance, composition, innovation_quantile, consensus, record, most_recorded,
-          solver);
-}
 
 template <class Pose>
 template <class Archive>

@@ -8,6 +8,25 @@ namespace terse {
 
 using std::size_t;
 
+namespace {
+
+template <class Pose>
+BatchResult<Pose> RequireFactor(BatchResult<Pose> result) {
+  if (result.termination != Termination::kNotPositiveDefinite) return result;
+  if (!result.free_motions.empty()) throw UnobservableError(result.message, result.free_motions);
+  throw NumericalError(result.message);
+}
+
+}  // namespace
+
+template <class Pose>
+Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, BatchResult<Pose> result)
+    : Marginals(RequireFactor(std::move(result)), graph) {}
+
+template <class Pose>
+Marginals<Pose>::Marginals(BatchResult<Pose>&& result, const PoseGraph<Pose>& graph)
+    : Marginals(graph, std::move(result.T_world_body), std::move(result.factor)) {}
+
 template <class Pose>
 Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body)
     : Marginals(graph, T_world_body, FactorAt(graph, T_world_body)) {}

@@ -4,7 +4,6 @@
 
 #include <terse/core/batch_solver.h>
 #include <terse/core/graph_file.h>
-#include <terse/core/initial_values.h>
 
 #include <cstdio>
 #include <exception>
@@ -15,21 +14,18 @@ using namespace terse;
 // The same for planar graphs (SE2) and for those in space (SE3).
 template <class Pose>
 void Solve(const PoseGraph<Pose>& graph, const std::string& output) {
-  // The values in a file may be missing or far off: compose the odometry instead.
-  const auto initial = ComputeInitialValues(graph, InitialValues::kAuto);
   BatchOptions options;
   options.progress = [](int iteration, double chi2) {
     std::printf("  iteration %d: chi2 %.6g\n", iteration, chi2);
     return true;  // go on
   };
-  const BatchResult<Pose> result = SolveBatch(graph, initial, options);
+  // The values in a file may be missing or far off: where to start is found by trying.
+  const BatchResult<Pose> result = SolveBatch(graph, options);
   std::printf("%s after %d iterations: %zu poses, %zu factors, chi2 %.9g\n", Name(result.termination),
               result.iterations, graph.Poses().size(), graph.Factors().size(), result.chi2);
 
   if (output.empty()) return;
-  PoseGraph<Pose> solved = graph;
-  for (std::size_t i = 0; i < graph.Poses().size(); ++i) solved.SetPose(graph.Poses()[i].id, result.T_world_body[i]);
-  WriteG2o(solved, output);
+  WriteG2o(graph.WithPoses(result.T_world_body), output);
   std::printf("wrote %s\n", output.c_str());
 }
 

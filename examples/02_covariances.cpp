@@ -2,9 +2,7 @@
 //
 //     02_covariances [GRAPH]      a graph in space; default: data/ellipse.g2o
 
-#include <terse/core/batch_solver.h>
 #include <terse/core/graph_file.h>
-#include <terse/core/initial_values.h>
 #include <terse/covariance/marginals.h>
 
 #include <cmath>
@@ -15,11 +13,11 @@ using namespace terse;
 
 int main(int argc, char** argv) try {
   const auto graph = std::get<PoseGraph<SE3>>(ReadGraph(argc > 1 ? argv[1] : "data/ellipse.g2o").graph);
-  const auto solved = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  const auto solved = SolveBatch(graph);
   if (!solved.Converged()) std::printf("not converged: %s\n", solved.message.c_str());
 
-  // The factor of the last iteration holds all of this; nothing is factored again.
-  const Marginals<SE3> marginals(graph, solved.T_world_body, solved.factor);
+  // Of the result's own factor; nothing is factored again.
+  const Marginals<SE3> marginals(graph, solved);
 
   // 6x6 blocks of T Exp([rho; phi]): metres and radians, in the body frame.
   const auto all = marginals.AllMarginals();

@@ -1,8 +1,9 @@
-// Keeps the poses and links of a graph that carry information, and writes what is left.
+// Keeps the poses and links of a graph that carry information, and writes what is left: what CompactGraph
+// (compact_graph.h) does in one call, step by step.
 //
 //     03_compact_from_graph [GRAPH [COMPACT.g2o]]      a graph in space; default: data/ellipse.g2o
 
-#include <terse/compact/thresholds.h>
+#include <terse/compact/compact_graph.h>
 #include <terse/core/graph_file.h>
 
 #include <cstdio>
@@ -14,12 +15,10 @@ int main(int argc, char** argv) try {
   const auto graph = std::get<PoseGraph<SE3>>(ReadGraph(argc > 1 ? argv[1] : "data/ellipse.g2o").graph);
 
   // How far links reach and how much information is little: from a sample of the graph.
-  const Thresholds<SE3> thresholds = SelectThresholds(graph);
   CompactOptions<SE3> options;
-  options.range = thresholds.range;                  // metres, metres, metres, radians
-  options.min_loop_gain = thresholds.min_loop_gain;  // nats
-  options.min_pose_gain = thresholds.min_pose_gain;
-  options.link_covariance = thresholds.link_covariance;
+  SampleThresholds(graph, options);
+  std::printf("links reach %.1f m; a loop counts from %.2f nats on, a pose from %.2f\n",
+              options.range.head<3>().maxCoeff(), options.min_loop_gain, options.min_pose_gain);
 
   // The file's poses in order of arrival; its loops answer when the run asks for a registration.
   GraphReplay<SE3> replay(graph);
@@ -41,7 +40,7 @@ int main(int argc, char** argv) try {
   std::printf("the last of %zu poses: %.3f %.3f %.3f\n", trajectory.size(), end.x(), end.y(), end.z());
 
   if (argc > 2) {
-    WriteG2o(kept, argv[2]);
+    WriteG2o(kept.WithPoses(result.T_world_body), argv[2]);
     std::printf("wrote %s\n", argv[2]);
   }
 } catch (const std::exception& error) {

@@ -40,13 +40,12 @@ int main(int argc, char** argv) try {
 
   std::optional<FactorId> last_link;
   for (int k = 0; k < 200; ++k) {
-    CompactInput<SE2> input;
-    input.id = PoseId{k};
+    std::optional<RelativePoseFactor<SE2>> odometry;  // the first pose has none
     if (k > 0) {
       truth.push_back(truth.back() * TrueMotion(k));
-      input.odometry = measure(PoseId{k - 1}, PoseId{k}, TrueMotion(k));
+      odometry = measure(PoseId{k - 1}, PoseId{k}, TrueMotion(k));
     }
-    const Decision decision = slam.AddPose(input, registration);
+    const Decision decision = slam.AddPose(PoseId{k}, odometry, registration);
     for (const Candidate& candidate : decision.candidates) {
       if (candidate.accepted) last_link = candidate.factor;
     }

@@ -78,20 +78,20 @@ int main() try {
 
   SE2 truth;
   for (int k = 0; k < 200; ++k) {  // five laps of a square of 10 m
-    CompactInput<SE2> input;
-    input.id = PoseId{k};
+    const PoseId id{k};
+    std::optional<RelativePoseFactor<SE2>> odometry;  // the first pose has none
     if (k > 0) {
       const SE2 motion(1, 0, k % 10 == 9 ? M_PI / 2 : 0);
       truth = truth * motion;
       const Vector<3> error(0.02 * noise(random), 0.02 * noise(random), 0.005 * noise(random));
       const Matrix<3, 3> information = Vector<3>(2500, 2500, 4e4).asDiagonal();  // 2 cm, 0.005 rad
-      input.odometry = RelativePoseFactor<SE2>{PoseId{k - 1}, PoseId{k}, motion.Retract(error), information};
+      odometry = RelativePoseFactor<SE2>{PoseId{k - 1}, id, motion.Retract(error), information};
     }
-    scans[input.id] = scan_at(truth);
-    if (!slam.AddPose(input, registration).Kept()) scans.erase(input.id);
+    scans[id] = scan_at(truth);
+    if (!slam.AddPose(id, odometry, registration).Kept()) scans.erase(id);
     if (k % 40 == 39) {
       std::printf("lap %d: %3zu poses kept, %2d links of %3d registrations, %.3f m off\n", k / 40 + 1, scans.size(),
-                  slam.LinksKept(), asked, (slam.Estimate(input.id).Translation() - truth.Translation()).norm());
+                  slam.LinksKept(), asked, (slam.Estimate(id).Translation() - truth.Translation()).norm());
     }
   }
 } catch (const std::exception& error) {

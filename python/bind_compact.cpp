@@ -7,24 +7,17 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
 #include "terse/compact/compact_graph.h"
 #include "terse/compact/map_file.h"
+#include "terse/compact/state_members.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
 namespace {
 
 using Path = std::filesystem::path;
-
-struct Slam {
-  EitherShared<CompactPoseSlam> slam;
-  std::shared_ptr<Guard> guard = std::make_shared<Guard>();
-};
-
-// All poses of a run.
-struct Recovered {
-  py::object ids, kept, poses;
-};
 
 template <class Pose>
 Pose OriginOf(const std::shared_ptr<CompactPoseSlam<Pose>>&) {
@@ -149,12 +142,7 @@ Solution Finish(const Slam& slam) {
 }
 
 Graph MapOf(const Slam& slam) {
-  return Read(slam, [](const auto& held) {
-    auto kept = held.Solver().Graph();
-    const auto values = held.Solver().Estimates();
-    for (std::size_t k = 0; k < values.size(); ++k) kept.SetPose(kept.Poses()[k].id, values[k]);
-    return Graph(std::move(kept));
-  });
+  return Read(slam, [](const auto& held) { return Graph(held.Solver().Graph().WithPoses(held.Solver().Estimates())); });
 }
 
 // A snapshot: the factor is copied, so that the run can go on.
@@ -169,6 +157,8 @@ Marginals MarginalsOf(const Slam& slam) {
     return {std::move(queries), std::move(graph)};
   });
 }
+
+}  // namespace
 
 Recovered TrajectoryOf(const Slam& slam, const std::string& recovery) {
   const auto how = FromWord<Recovery>(recovery);
@@ -187,6 +177,8 @@ Recovered TrajectoryOf(const Slam& slam, const std::string& recovery) {
     return Recovered{ArrayOfIds(ids), std::move(kept), ArrayOf(poses)};
   });
 }
+
+namespace {
 
 Slam Load(const Path& path) {
   return ForDimension(DimensionOfState(path.string()), [&](auto origin) {
@@ -411,7 +403,16 @@ void BindCompact(py::module_& module) {
       .def_readonly("kept", &Recovered::kept, "(n,) bool: whether a pose is in the map.")
       .def_readonly("poses", &Recovered::poses,
                     "(n, 3) [x, y, theta] or (n, 7) [x, y, z, qx, qy, qz, qw]: T_world_body.")
-      .def("__len__", [](const Recovered& r) { return py::len(r.ids); });
+      .def("__len__", [](const Recovered& r) { return py::len(r.ids); })
+      .def("__repr__",
+           [](const Recovered& r) {
+             return "<terse.CompactTrajectory: " + Counted(py::len(r.ids), "pose") + ", " +
+                    std::to_string(r.kept.attr("sum")().cast<long>()) + " kept>";
+           })
+      .def(py::pickle([](const Recovered& r) { return py::make_tuple(r.ids, r.kept, r.poses); },
+                      [](const py::tuple& state) {
+                        return Recovered{state[0], state[1], state[2]};
+                      }));
   Type type(module, "CompactPoseSlam",
             "Keeps the poses and links of a run that carry information; the others come back in trajectory().\n\n"
             "Any thread may call; calls wait for each other, without the GIL.");
@@ -419,6 +420,27 @@ void BindCompact(py::module_& module) {
   BindAdding(type);
   BindReading(type);
   BindCovariances(type);
+  type.def("__repr__",
+           [](const Slam& s) {
+             return Read(s, [&](const auto& held) {
+               return "<terse.CompactPoseSlam: " + DimensionText(DimensionOf(s.slam)) + " " +
+                      WordOf(held.Options().strategy) + ", " + std::to_string(held.Solver().Graph().Poses().size()) +
+                      " of " + Counted(held.PosesSeen(), "pose") + " kept, " + Counted(held.LinksKept(), "link") + ">";
+             });
+           })
+      .def(py::pickle(
+          [](const Slam& s) {
+            return Read(s, [&](const auto& held) {
+              return py::make_tuple(DimensionOf(s.slam), Pickled("pickle CompactPoseSlam", held));
+            });
+          },
+          [](const py::tuple& state) {
+            return ForDimension(state[0].cast<int>(), [&](auto origin) {
+              using Held = CompactPoseSlam<decltype(origin)>;
+              return Slam{
+                  std::make_shared<Held>(Unpickled<Held>("pickle CompactPoseSlam", state[1].cast<py::bytes>()))};
+            });
+          }));
 }
 
 }  // namespace terse::python

@@ -3,6 +3,9 @@
 #include <pybind11/stl.h>
 
 #include "bindings.h"
+#include "pickling.h"
+#include "state_members.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -37,9 +40,13 @@ void BindCandidate(py::module_& module) {
       .def_property_readonly(
           "factor_id", [](const Candidate& c) { return ValueOf(c.factor); },
           "Of the link if it was accepted, else None; remove_link takes it.")
-      .def("__repr__", [](const Candidate& c) {
-        return "<terse.Candidate " + std::to_string(c.id.value) + (c.accepted ? ", accepted>" : ">");
-      });
+      .def("__repr__",
+           [](const Candidate& c) {
+             const std::string verdict = c.accepted ? ", accepted" : c.outlier ? ", refused" : c.tried ? ", tried" : "";
+             return "<terse.Candidate " + std::to_string(c.id.value) + ": gain " +
+                    SixDigits(c.measured_gain.value_or(c.gain)) + " nats" + verdict + ">";
+           })
+      .def(PickleOf<Candidate>("pickle Candidate"));
 }
 
 }  // namespace
@@ -70,9 +77,12 @@ void BindDecision(py::module_& module) {
             return ids;
           },
           "Ids of poses dropped earlier that are kept from now on, because a loop of this pose leads to them.")
-      .def("__repr__", [](const Decision& d) {
-        return "<terse.Decision: pose " + std::to_string(d.id.value) + " " + Name(d.verdict) + ">";
-      });
+      .def("__repr__",
+           [](const Decision& d) {
+             return "<terse.Decision: pose " + std::to_string(d.id.value) + " " + Name(d.verdict) + ", " +
+                    std::to_string(d.links_accepted) + " of " + Counted(d.candidates_found, "candidate") + " linked>";
+           })
+      .def(PickleOf<Decision>("pickle Decision"));
   py::class_<LinkDecision>(module, "LinkDecision", "What was decided on a link that came late.")
       .def_property_readonly(
           "from_id", [](const LinkDecision& d) { return d.from.value; },
@@ -85,7 +95,16 @@ void BindDecision(py::module_& module) {
       .def_readonly("outlier", &LinkDecision::outlier, "The innovation is too large.")
       .def_readonly("accepted", &LinkDecision::accepted, "Whether it is in the map.")
       .def_property_readonly(
-          "factor_id", [](const LinkDecision& d) { return ValueOf(d.factor); }, "If accepted, else None.");
+          "factor_id", [](const LinkDecision& d) { return ValueOf(d.factor); }, "If accepted, else None.")
+      .def("__repr__",
+           [](const LinkDecision& d) {
+             return "<terse.LinkDecision " + std::to_string(d.from.value) + " -> " + std::to_string(d.to.value) +
+                    ": gain " + SixDigits(d.gain) + " nats, " +
+                    (d.accepted  ? "accepted>"
+                     : d.outlier ? "refused>"
+                                 : "not accepted>");
+           })
+      .def(PickleOf<LinkDecision>("pickle LinkDecision"));
 }
 
 }  // namespace terse::python

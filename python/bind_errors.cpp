@@ -3,11 +3,15 @@
 #include <pybind11/stl.h>
 
 #include <fstream>
+#include <map>
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
 #include "terse/core/error.h"
 #include "terse/core/observability.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -23,6 +27,16 @@ PyObject* NewError(py::module_& module, const char* name, const char* doc, PyObj
   if (type == nullptr) throw py::error_already_set();
   module.attr(name) = py::handle(type);
   return type;
+}
+
+// OSError's own names for an attribute. Its message stays the one it is made with.
+void SetAliases(PyObject* type, const std::map<std::string, std::string>& names) {
+  const py::object property = py::module_::import("builtins").attr("property");
+  for (const auto& [alias, name] : names) {
+    const py::cpp_function get(
+        [name = name](const py::object& error) { return py::getattr(error, name.c_str(), py::none()); });
+    py::setattr(type, alias.c_str(), property(get));
+  }
 }
 
 void Raise(PyObject* type, const py::object& error) { PyErr_SetObject(type, error.ptr()); }
@@ -61,7 +75,8 @@ void BindFreeMotion(py::module_& module) {
           "(d, k): free directions of that pose, orthonormal columns, tangent [translation, rotation], metres and "
           "radians, body frame. A copy.")
       .def("__str__", &Describe, "In words.")
-      .def("__repr__", [](const FreeMotion& m) { return "<terse.FreeMotion: " + Describe(m) + ">"; });
+      .def("__repr__", [](const FreeMotion& m) { return "<terse.FreeMotion: " + Describe(m) + ">"; })
+      .def(PickleOf<FreeMotion>("pickle FreeMotion"));
 }
 
 }  // namespace
@@ -69,9 +84,10 @@ void BindFreeMotion(py::module_& module) {
 void BindErrors(py::module_& module) {
   file_error =
       NewError(module, "FileError",
-               "A file that cannot be read or written. Attributes: path, line (from 1; 0: the file as a whole) "
-               "and cause.",
-               PyExc_RuntimeError);
+               "A file that cannot be read or written: an OSError. Attributes: path, line (from 1; 0: the file as a "
+               "whole) and cause; filename is path, strerror cause.",
+               PyExc_OSError);
+  SetAliases(file_error, {{"filename", "path"}, {"strerror", "cause"}});
   numerical_error =
       NewError(module, "NumericalError", "The linear system is singular or not finite.", PyExc_RuntimeError);
   unobservable_error = NewError(module, "UnobservableError",
@@ -90,6 +106,22 @@ void SetAttributes(const py::object& object, const py::kwargs& keywords) {
     }
     py::setattr(object, name, value);
   }
+}
+
+std::string OptionsText(const py::object& options, const py::object& standard, const std::string& first) {
+  const py::object type = py::type::of(options), repr = py::module_::import("builtins").attr("repr");
+  std::string text = "terse." + type.attr("__name__").cast<std::string>() + "(" + first;
+  for (const auto& [name, member] : py::dict(type.attr("__dict__").attr("copy")())) {
+    if (!py::hasattr(member, "fset") || member.attr("fset").is_none()) continue;
+    const py::object value = py::getattr(options, name), usual = py::getattr(standard, name);
+    const auto text_of = [&](const py::object& object) {
+      return repr(py::isinstance<py::array>(object) ? object.attr("tolist")() : object).cast<std::string>();
+    };
+    if (text_of(value) == text_of(usual)) continue;
+    if (text.back() != '(') text += ", ";
+    text += py::str(name).cast<std::string>() + "=" + text_of(value);
+  }
+  return text + ")";
 }
 
 int DimensionOfState(const std::string& path) {

@@ -3,6 +3,8 @@
 #include <pybind11/stl.h>
 
 #include "bindings.h"
+#include "pickling.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -60,7 +62,7 @@ PositionPrior MakePositionPrior(std::int64_t id, const Array& p, const std::opti
 
 // What all three have.
 template <class Wrapped>
-void BindCommon(py::class_<Wrapped>& type, const char* shape) {
+void BindCommon(py::class_<Wrapped>& type, const std::string& name, const char* shape) {
   type.def_property_readonly(
           "dimension", [](const Wrapped& w) { return DimensionOf(w.factor); }, "2 or 3.")
       .def_property_readonly(
@@ -68,7 +70,9 @@ void BindCommon(py::class_<Wrapped>& type, const char* shape) {
           [](const Wrapped& w) {
             return std::visit([](const auto& f) { return ArrayOfMatrix(f.information); }, w.factor);
           },
-          (std::string("The inverse of the covariance, ") + shape + ". A copy.").c_str());
+          (std::string("The inverse of the covariance, ") + shape + ". A copy.").c_str())
+      .def(PickleOf<Wrapped>(
+          "pickle " + name, [](const Wrapped& w) { return w.factor; }, [](auto factor) { return Wrapped{factor}; }));
 }
 
 void BindRelativePose(py::module_& module) {
@@ -94,11 +98,12 @@ void BindRelativePose(py::module_& module) {
       .def("__repr__", [](const RelativePose& w) {
         return std::visit(
             [](auto& f) {
-              return "<terse.RelativePose " + std::to_string(f.from.value) + " -> " + std::to_string(f.to.value) + ">";
+              return "<terse.RelativePose " + std::to_string(f.from.value) + " -> " + std::to_string(f.to.value) +
+                     ": " + PoseText(f.T_from_to) + ">";
             },
             w.factor);
       });
-  BindCommon(type, "(d, d), d = 3 or 6; tangent order [translation, rotation], body frame of to_id");
+  BindCommon(type, "RelativePose", "(d, d), d = 3 or 6; tangent order [translation, rotation], body frame of to_id");
 }
 
 void BindPriors(py::module_& module) {
@@ -115,8 +120,15 @@ void BindPriors(py::module_& module) {
       .def_property_readonly(
           "T_world_body",
           [](const PosePrior& w) { return std::visit([](auto& f) { return ArrayOf(f.T_world_body); }, w.factor); },
-          "The measurement, (3,) or (7,). A copy.");
-  BindCommon(pose, "(d, d), d = 3 or 6; tangent order [translation, rotation], body frame");
+          "The measurement, (3,) or (7,). A copy.")
+      .def("__repr__", [](const PosePrior& w) {
+        return std::visit(
+            [](auto& f) {
+              return "<terse.PosePrior on " + std::to_string(f.pose.value) + ": " + PoseText(f.T_world_body) + ">";
+            },
+            w.factor);
+      });
+  BindCommon(pose, "PosePrior", "(d, d), d = 3 or 6; tangent order [translation, rotation], body frame");
 
   py::class_<PositionPrior> position(module, "PositionPrior",
                                      "Where a point of the body was measured in the world, as by GNSS. The residual, "
@@ -137,8 +149,15 @@ void BindPriors(py::module_& module) {
       .def_property_readonly(
           "p_body",
           [](const PositionPrior& w) { return std::visit([](auto& f) { return ArrayOfVector(f.p_body); }, w.factor); },
-          "The point that was measured, in the body's frame, metres. A copy.");
-  BindCommon(position, "(2, 2) or (3, 3), world frame");
+          "The point that was measured, in the body's frame, metres. A copy.")
+      .def("__repr__", [](const PositionPrior& w) {
+        return std::visit(
+            [](auto& f) {
+              return "<terse.PositionPrior on " + std::to_string(f.pose.value) + ": " + NumbersText(f.p_world) + ">";
+            },
+            w.factor);
+      });
+  BindCommon(position, "PositionPrior", "(2, 2) or (3, 3), world frame");
 }
 
 }  // namespace

@@ -7,6 +7,9 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -65,7 +68,22 @@ void BindFiles(py::module_& module) {
           "vertices.")
       .def_property_readonly(
           "repaired_informations", [](const ReadFile& f) { return f.facts.repaired_informations; },
-          "How many information matrices were not positive definite.");
+          "How many information matrices were not positive definite.")
+      .def("__repr__",
+           [](const ReadFile& f) {
+             return std::string("<terse.GraphFile: ") + Name(f.facts.format) + ", " +
+                    DimensionText(f.graph.Dimension()) + ", " +
+                    std::visit([](auto& g) { return Counted(g.Poses().size(), "pose"); }, f.graph.Get()) + ">";
+           })
+      .def(PickleOf<ReadFile>(
+          "pickle GraphFile",
+          [](const ReadFile& f) {
+            return GraphFile{f.graph.Get(), f.facts.format, f.facts.skipped_tags, f.facts.repaired_informations};
+          },
+          [](GraphFile file) {
+            Graph graph(std::move(file.graph));
+            return ReadFile{std::move(graph), std::move(file)};
+          }));
   module.def("read_graph_file", &ReadGraphFile, py::arg("path"), py::kw_only(),
              py::arg("rotation_information") = "quaternion", py::arg("repair_information") = false,
              "As read_graph, with what the file was like (GraphFile).");

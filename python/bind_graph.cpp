@@ -5,6 +5,8 @@
 #include <limits>
 
 #include "bindings.h"
+#include "pickling.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -13,6 +15,7 @@ namespace {
 // Edges of a graph as arrays.
 struct Edges {
   py::object factor_ids, from_ids, to_ids, T_from_to, information;
+  std::shared_ptr<const AnyPoseGraph> graph;
 };
 
 template <class F>
@@ -69,15 +72,7 @@ void SetPoses(Graph& graph, const Array& T) {
   std::visit(
       [&](auto& g) {
         using Pose = PoseOf<decltype(g)>;
-        const std::vector<Pose> values = PosesFrom<Pose>(T, "T_world_body");
-        if (values.size() != g.Poses().size()) {
-          throw std::invalid_argument("expected a value for each of the " + std::to_string(g.Poses().size()) +
-                                      " poses");
-        }
-        for (const Pose& value : values) {
-          if (!IsFinite(value)) throw std::invalid_argument("a pose is not finite");
-        }
-        for (std::size_t k = 0; k < values.size(); ++k) g.SetPose(g.Poses()[k].id, values[k]);
+        g.SetPoses(PosesFrom<Pose>(T, "T_world_body"));
       },
       graph.Change());
 }
@@ -137,7 +132,7 @@ Ids AddEdges(Graph& graph, const py::object& from_ids, const py::object& to_ids,
 }
 
 Edges EdgesOf(const Graph& graph) {
-  return Visit(graph, [](const auto& g) {
+  return Visit(graph, [&](const auto& g) {
     using Pose = PoseOf<decltype(g)>;
     std::vector<FactorId> ids;
     std::vector<PoseId> from, to;
@@ -152,8 +147,9 @@ Edges EdgesOf(const Graph& graph) {
       T.push_back(edge->T_from_to);
       information.push_back(edge->information);
     }
-    return Edges{ArrayOfIds(ids), ArrayOfIds(from), ArrayOfIds(to), ArrayOf(T),
-                 ArrayOwning<Pose::kDof>(std::move(information))};
+    return Edges{
+        ArrayOfIds(ids), ArrayOfIds(from), ArrayOfIds(to), ArrayOf(T), ArrayOwning<Pose::kDof>(std::move(information)),
+        graph.Share()};
   });
 }
 
@@ -165,6 +161,36 @@ py::dict PriorsOf(const Graph& graph) {
       if (std::holds_alternative<RelativePoseFactor<Pose>>(node.factor)) continue;
       out[py::int_(node.id.value)] = ObjectOf<Pose>(node.factor);
     }
+    return out;
+  });
+}
+
+py::dict FactorsOf(const Graph& graph) {
+  return Visit(graph, [](const auto& g) {
+    py::dict out;
+    for (const auto& node : g.Factors()) out[py::int_(node.id.value)] = ObjectOf<PoseOf<decltype(g)>>(node.factor);
+    return out;
+  });
+}
+
+// None if it has no value.
+template <class Node>
+py::object ValueOf(const Node& pose) {
+  return pose.T_world_body ? py::object(ArrayOf(*pose.T_world_body)) : py::object(py::none());
+}
+
+py::object PoseAt(const Graph& graph, std::int64_t id) {
+  return Visit(graph, [&](const auto& g) {
+    if (!g.HasPose(PoseId{id})) throw py::key_error("pose " + std::to_string(id) + " is not in the graph");
+    return ValueOf(g.Poses()[static_cast<std::size_t>(g.IndexOf(PoseId{id}))]);
+  });
+}
+
+// As of a dict from ids to poses.
+py::list ItemsOf(const Graph& graph) {
+  return Visit(graph, [](const auto& g) {
+    py::list out;
+    for (const auto& pose : g.Poses()) out.append(py::make_tuple(pose.id.value, ValueOf(pose)));
     return out;
   });
 }
@@ -196,6 +222,11 @@ void BindPoses(py::class_<Graph>& type) {
       .def("__len__", [](const Graph& g) { return Visit(g, [](auto& any) { return any.Poses().size(); }); })
       .def("__contains__",
            [](const Graph& g, std::int64_t id) { return Visit(g, [&](auto& any) { return any.HasPose(PoseId{id}); }); })
+      .def("__iter__", [](const Graph& g) { return py::iter(IdsOf(g.Get()).attr("tolist")()); })
+      .def("__getitem__", &PoseAt, py::arg("pose_id"),
+           "T_world_body of a pose, (3,) or (7,), None if it has no value. A copy. KeyError if it is unknown.")
+      .def("items", &ItemsOf,
+           "List of (pose id, T_world_body or None) in order of insertion; iterating over the graph gives the ids.")
       .def(
           "index_of",
           [](const Graph& g, std::int64_t id) { return Visit(g, [&](auto& any) { return any.IndexOf(PoseId{id}); }); },
@@ -245,6 +276,7 @@ void BindMeasurements(py::class_<Graph>& type) {
           "num_factors", [](const Graph& g) { return Visit(g, [](auto& any) { return any.Factors().size(); }); },
           "How many measurements there are, priors included.")
       .def("edges", &EdgesOf, "All relative poses as arrays, in order of arrival (Edges). Copies.")
+      .def("factors", &FactorsOf, "All measurements by factor id, in order of arrival: a dict. Copies.")
       .def("priors", &PriorsOf, "All pose and position priors by factor id, in order of arrival. Copies.")
       .def(
           "chi2", [](const Graph& g) { return Visit(g, [](auto& any) { return Chi2(any); }); },
@@ -265,15 +297,39 @@ void BindMeasurements(py::class_<Graph>& type) {
           "The connected parts, largest first: a list of arrays of pose ids.");
 }
 
+RelativePose EdgeAt(const Edges& edges, py::ssize_t at) {
+  const auto n = static_cast<py::ssize_t>(py::len(edges.factor_ids));
+  if (at < 0) at += n;
+  if (at < 0 || at >= n) throw py::index_error(Counted(n, "edge"));
+  return std::visit(
+      [&](const auto& g) {
+        return RelativePose{std::get<RelativePoseFactor<PoseOf<decltype(g)>>>(
+            g.FindFactor(FactorId{edges.factor_ids.attr("item")(at).template cast<std::int64_t>()})->factor)};
+      },
+      *edges.graph);
+}
+
 void BindEdges(py::module_& module) {
-  py::class_<Edges>(module, "Edges", "Relative poses of a graph as arrays of the same length m. They own their memory.")
+  py::class_<Edges>(module, "Edges",
+                    "Relative poses of a graph as arrays of the same length m, which own their memory; and one by one, "
+                    "as a sequence of RelativePose.")
       .def_readonly("factor_ids", &Edges::factor_ids, "(m,) int64.")
       .def_readonly("from_ids", &Edges::from_ids, "(m,) int64: poses that are seen from.")
       .def_readonly("to_ids", &Edges::to_ids, "(m,) int64: poses that are seen.")
       .def_readonly("T_from_to", &Edges::T_from_to, "(m, 3) or (m, 7): measurements, metres and radians.")
       .def_readonly("information", &Edges::information,
                     "(m, d, d), d = 3 or 6; tangent order [translation, rotation], body frame of to_ids.")
-      .def("__len__", [](const Edges& e) { return py::len(e.factor_ids); });
+      .def("__len__", [](const Edges& e) { return py::len(e.factor_ids); })
+      .def("__iter__", &IterateSequence)
+      .def("__getitem__", &EdgeAt, py::arg("index"), "An edge as it is in the graph (RelativePose). A copy.")
+      .def("__repr__",
+           [](const Edges& e) {
+             return "<terse.Edges: " + DimensionText(DimensionOf(*e.graph)) + ", " +
+                    Counted(py::len(e.factor_ids), "relative pose") + ">";
+           })
+      .def(PickleOf<Edges>(
+          "pickle Edges", [](const Edges& e) -> const AnyPoseGraph& { return *e.graph; },
+          [](AnyPoseGraph graph) { return EdgesOf(Graph(std::move(graph))); }));
 }
 
 }  // namespace
@@ -306,7 +362,10 @@ void BindGraph(py::module_& module) {
       .def("__copy__", [](const Graph& g) { return Graph(g); })
       .def(
           "__deepcopy__", [](const Graph& g, const py::dict&) { return Graph(g); }, py::arg("memo"))
-      .def("__repr__", &Describe);
+      .def("__repr__", &Describe)
+      .def(PickleOf<Graph>(
+          "pickle PoseGraph", [](const Graph& g) -> const AnyPoseGraph& { return g.Get(); },
+          [](AnyPoseGraph graph) { return Graph(std::move(graph)); }));
 }
 
 }  // namespace terse::python

@@ -8,7 +8,10 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
 #include "terse/core/replay.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -141,7 +144,14 @@ void BindStepReport(py::module_& module) {
       .def_readonly("deferred_fronts", &StepReport::deferred_fronts, "Subtrees left to later steps.")
       .def_readonly("flops", &StepReport::flops, "Of the factorisation.")
       .def_readonly("solve_flops", &StepReport::solve_flops, "Of the back-substitution.")
-      .def_readonly("seconds", &StepReport::seconds, "Of the update.");
+      .def_readonly("seconds", &StepReport::seconds, "Of the update.")
+      .def("__repr__",
+           [](const StepReport& r) {
+             return "<terse.StepReport: " + Counted(r.factor_ids.size(), "factor") + " " + WordOf(r.path) + ", gate " +
+                    (r.gate_open ? "open" : "closed") + ", " + Counted(r.iterations, "iteration") + ", " +
+                    Counted(r.variables_moved, "pose") + " moved>";
+           })
+      .def(PickleOf<StepReport>("pickle StepReport"));
 }
 
 using Type = py::class_<Solver>;
@@ -240,7 +250,28 @@ void BindIncremental(py::module_& module) {
           py::arg("path"), "Writes the whole state to a file, whole or not at all. FileError. Without the GIL.")
       .def_static(
           "load", &Load, py::arg("path"),
-          "The solver that was saved; it continues bit for bit as that one would have. FileError. Without the GIL.");
+          "The solver that was saved; it continues bit for bit as that one would have. FileError. Without the GIL.")
+      .def("__repr__",
+           [](const Solver& s) {
+             return Read(s, [&](const auto& held) {
+               return "<terse.IncrementalSolver: " + DimensionText(DimensionOf(s.solver)) + ", " +
+                      Counted(held.Graph().Poses().size(), "pose") + ", " +
+                      Counted(held.Graph().Factors().size(), "factor") + ">";
+             });
+           })
+      .def(py::pickle(
+          [](const Solver& s) {
+            return Read(s, [&](const auto& held) {
+              return py::make_tuple(DimensionOf(s.solver), Pickled("pickle IncrementalSolver", held));
+            });
+          },
+          [](const py::tuple& state) {
+            return ForDimension(state[0].cast<int>(), [&](auto origin) {
+              using Held = IncrementalSolver<decltype(origin)>;
+              return Solver{
+                  std::make_shared<Held>(Unpickled<Held>("pickle IncrementalSolver", state[1].cast<py::bytes>()))};
+            });
+          }));
   module.def("replay", &ReplayGraph, py::arg("graph"), py::arg("solver"), py::kw_only(), py::arg("every") = "pose",
              py::arg("stored_values") = false, py::arg("after_step") = py::none(),
              "Feeds a stored PoseGraph to an IncrementalSolver as it would have come in online.\n\n"

@@ -3,6 +3,8 @@
 #include <pybind11/stl.h>
 
 #include "bindings.h"
+#include "pickling.h"
+#include "state_members.h"
 #include "terse/covariance/information_scale.h"
 #include "values.h"
 
@@ -53,7 +55,8 @@ void BindInformation(py::module_& module) {
           "loops_left_out", [](const C& c) { return c.estimate.loops_left_out; },
           "Loops that the others contradict: they do not count.")
       .def("__repr__",
-           [](const C& c) { return std::string("<terse.InformationCalibration: ") + Name(c.verdict) + ">"; });
+           [](const C& c) { return std::string("<terse.InformationCalibration: ") + Name(c.verdict) + ">"; })
+      .def(PickleOf<C>("pickle InformationCalibration"));
   module.def("calibrate_information", &Calibrate, py::arg("graph"),
              "(graph, InformationCalibration): a PoseGraph as it was, or with the information of its relative "
              "measurements scaled, where it is the unit matrix or another constant that the residuals contradict.\n\n"

@@ -4,8 +4,11 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
 #include "terse/core/initial_values.h"
 #include "terse/covariance/incremental_marginals.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -179,7 +182,13 @@ void BindReport(py::module_& module) {
       .def_readonly("columns", &CovarianceReport::columns, "Of the inverse that were solved for.")
       .def_readonly("flops", &CovarianceReport::flops, "Multiplications and additions.")
       .def_readonly("seconds", &CovarianceReport::seconds, "Seconds it took.")
-      .def_readonly("drift", &CovarianceReport::drift, "Estimate of the relative error that downdates have left.");
+      .def_readonly("drift", &CovarianceReport::drift, "Estimate of the relative error that downdates have left.")
+      .def("__repr__",
+           [](const CovarianceReport& r) {
+             return std::string("<terse.CovarianceReport: ") + Name(r.path) + ", " + Counted(r.columns, "column") +
+                    ", " + SixDigits(r.seconds) + " s>";
+           })
+      .def(PickleOf<CovarianceReport>("pickle CovarianceReport"));
 }
 
 void BindGrowing(py::module_& module) {
@@ -212,7 +221,16 @@ void BindGrowing(py::module_& module) {
             const Lock lock(*m.solver.guard, Lock::kReading);
             return Ask(m.marginals, [](const auto& held) { return held.NewestColumn(); });
           },
-          "(n, d, d): Cov(d_i, d_newest) for every pose i in order of arrival; rows are i's. Owns its memory.");
+          "(n, d, d): Cov(d_i, d_newest) for every pose i in order of arrival; rows are i's. Owns its memory.")
+      .def("__repr__", [](const GrowingMarginals& m) {
+        const Lock lock(*m.solver.guard, Lock::kReading);
+        return std::visit(
+            [&](const auto& held) {
+              return "<terse.IncrementalMarginals: " + DimensionText(DimensionOf(m.solver.solver)) + ", " +
+                     Counted(held->Graph().Poses().size(), "pose") + ">";
+            },
+            m.solver.solver);
+      });
   BindQueries(type);
 }
 
@@ -230,7 +248,11 @@ void BindMarginals(py::module_& module) {
            "Solution.marginals() uses the factor that is there already. UnobservableError if the system is singular. "
            "Without the GIL.")
       .def_property_readonly(
-          "ids", [](const Marginals& m) { return IdsOf(*m.graph); }, "(n,) int64: the order of marginals(). A copy.");
+          "ids", [](const Marginals& m) { return IdsOf(*m.graph); }, "(n,) int64: the order of marginals(). A copy.")
+      .def("__repr__", [](const Marginals& m) {
+        return "<terse.Marginals: " + DimensionText(DimensionOf(m.queries)) + ", " +
+               std::visit([](const auto& g) { return Counted(g.Poses().size(), "pose"); }, *m.graph) + ">";
+      });
   BindQueries(type);
   BindReport(module);
 }

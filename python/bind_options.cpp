@@ -4,6 +4,9 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "terse/compact/state_members.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -70,7 +73,12 @@ void BindIncrementalOptions(py::module_& module) {
       .def_property(
           "robust_width", [](const IncrementalOptions& o) { return o.robust.width; },
           [](IncrementalOptions& o, double width) { o.robust.width = width; },
-          "Where the kernel sets in, in standard deviations; 0: what one true loop in a hundred exceeds.");
+          "Where the kernel sets in, in standard deviations; 0: what one true loop in a hundred exceeds.")
+      .def("__repr__",
+           [](const py::object& self) {
+             return OptionsText(self, py::cast(std::make_shared<IncrementalOptions>()), "");
+           })
+      .def(PickleOf<IncrementalOptions>("pickle IncrementalOptions"));
 }
 
 using Compact = py::class_<CompactSettings, std::shared_ptr<CompactSettings>>;
@@ -200,6 +208,17 @@ void BindCompactOptions(py::module_& module) {
         std::visit([&](auto& o) { o.solver = solver; }, s.options);
       },
       "IncrementalOptions of the map. A copy: assign to change it.");
+  type.def("__repr__",
+           [](const py::object& self) {
+             const int dimension = DimensionOf(self.cast<const CompactSettings&>().options);
+             const auto standard = ForDimension(dimension, [](auto origin) {
+               return std::make_shared<CompactSettings>(CompactSettings{CompactOptions<decltype(origin)>()});
+             });
+             return OptionsText(self, py::cast(standard), std::to_string(dimension));
+           })
+      .def(PickleOf<CompactSettings>(
+          "pickle CompactOptions", [](const CompactSettings& s) { return s.options; },
+          [](Either<CompactOptions> options) { return CompactSettings{std::move(options)}; }));
 }
 
 }  // namespace

@@ -4,6 +4,9 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -71,6 +74,18 @@ py::object Register(const Replay& replay, std::int64_t candidate, std::int64_t c
       replay.replay);
 }
 
+std::string DescribeInput(const Input& input) {
+  // What was given as an iterator is not counted: that would use it up.
+  const auto counted = [](const py::object& list, const std::string& thing) {
+    return py::hasattr(list, "__len__") ? Counted(py::len(list), thing) : thing + "s";
+  };
+  std::string text = "<terse.CompactInput " + std::to_string(input.id) + ": ";
+  text += input.odometry.is_none() ? "no odometry" : "odometry";
+  if (!input.loops.is_none()) text += ", " + counted(input.loops, "loop");
+  if (!py::hasattr(input.priors, "__len__") || py::len(input.priors) > 0) text += ", " + counted(input.priors, "prior");
+  return text + (input.fixed ? ", fixed>" : ">");
+}
+
 void BindInput(py::module_& module) {
   py::class_<Input>(module, "CompactInput",
                     "A pose as it arrives, with its measurements: CompactPoseSlam.add takes it.")
@@ -98,7 +113,22 @@ void BindInput(py::module_& module) {
       .def_readwrite("loops", &Input::loops,
                      "RelativePose objects measured already, to earlier poses, kept or dropped: nothing else is "
                      "registered then. Or None.")
-      .def_readwrite("drawn", &Input::drawn, "'rfpfl': keep it.");
+      .def_readwrite("drawn", &Input::drawn, "'rfpfl': keep it.")
+      .def("__repr__", &DescribeInput)
+      .def(py::pickle(
+          [](const Input& i) {
+            return py::make_tuple(i.id, i.odometry, i.T_world_body, i.fixed, i.priors, i.linkable, i.loops, i.drawn);
+          },
+          [](const py::tuple& s) {
+            return Input{s[0].cast<std::int64_t>(),
+                         s[1],
+                         s[2].cast<std::optional<Array>>(),
+                         s[3].cast<bool>(),
+                         s[4],
+                         s[5].cast<std::optional<std::vector<std::int64_t>>>(),
+                         s[6],
+                         s[7].cast<bool>()};
+          }));
 }
 
 void BindGraphReplay(py::module_& module) {
@@ -114,7 +144,8 @@ void BindGraphReplay(py::module_& module) {
           "dimension", [](const Replay& r) { return DimensionOf(r.replay); }, "2 or 3.")
       .def("__len__",
            [](const Replay& r) { return std::visit([](auto& held) { return held->Inputs().size(); }, r.replay); })
-      .def("__getitem__", &InputAt, py::arg("index"))
+      .def("__iter__", &IterateSequence)
+      .def("__getitem__", &InputAt, py::arg("index"), "A pose with its measurements (CompactInput).")
       .def("__call__", &Register, py::arg("candidate_id"), py::arg("current_id"),
            "The edge between two poses (RelativePose), or None: a registration callback.")
       .def_property_readonly(
@@ -140,7 +171,16 @@ void BindGraphReplay(py::module_& module) {
           [](const Replay& r) {
             return std::visit([](auto& held) { return ArrayOfMatrix(held->LinkCovariance()); }, r.replay);
           },
-          "(d, d): mean covariance of the links, as CompactOptions.link_covariance.");
+          "(d, d): mean covariance of the links, as CompactOptions.link_covariance.")
+      .def("__repr__", [](const Replay& r) {
+        return std::visit(
+            [&](auto& held) {
+              return "<terse.GraphReplay: " + DimensionText(DimensionOf(r.replay)) + ", " +
+                     Counted(held->Inputs().size(), "pose") + ", " + Counted(held->LinksOffered(), "link") +
+                     " offered>";
+            },
+            r.replay);
+      });
 }
 
 ChosenThresholds Select(const Graph& graph, double probability, double share, long most_poses, const std::string& angle,
@@ -215,7 +255,17 @@ void BindThresholds(py::module_& module) {
           "sample_poses", [](const T& c) { return Visit(c, [](auto& t) { return t.sample_poses; }); },
           "Poses in the sample.")
       .def("options", &OptionsOf,
-           "CompactOptions with these thresholds; any of its attributes can be given by keyword.");
+           "CompactOptions with these thresholds; any of its attributes can be given by keyword.")
+      .def("__repr__",
+           [](const T& c) {
+             return Visit(c, [](auto& t) {
+               return "<terse.Thresholds: range " + NumbersText(t.range) + ", loop gain " + SixDigits(t.min_loop_gain) +
+                      " nats, pose gain " + SixDigits(t.min_pose_gain) + " nats>";
+             });
+           })
+      .def(PickleOf<T>(
+          "pickle Thresholds", [](const T& c) { return c.thresholds; },
+          [](Either<Thresholds> thresholds) { return ChosenThresholds{std::move(thresholds)}; }));
   module.def(
       "select_thresholds", &Select, py::arg("graph"), py::kw_only(), py::arg("probability") = 0.1,
       py::arg("share") = 0.6, py::arg("most_poses") = 200, py::arg("angle") = "view", py::arg("view_axis") = py::none(),

@@ -4,6 +4,8 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
 #include "terse/core/start_values.h"
 #include "values.h"
 
@@ -21,9 +23,7 @@ std::vector<Pose> InitialFrom(const PoseGraph<Pose>& graph, const py::object& in
   auto method = FromWord<InitialValues>(initial.cast<std::string>());
   const py::gil_scoped_release release;
   if (method != InitialValues::kAuto || graph.Poses().empty()) return ComputeInitialValues(graph, method);
-  // Loops that may be wrong bend a relaxation.
-  if (options.robust.kernel != RobustKernel::kNone) return ComputeInitialValues(graph, InitialValues::kCompose);
-  return ChooseStart(graph, {options.threads, {}}).T_world_body;
+  return StartFor(graph, options).T_world_body;
 }
 
 Solution Solve(const Graph& graph, const py::object& initial, const std::string& method, int max_iterations,
@@ -58,32 +58,54 @@ std::shared_ptr<Marginals> MarginalsOf(Solution& solution) {
   std::visit(
       [&](auto& result) {
         using Pose = std::decay_t<decltype(result->T_world_body.front())>;
-        if (result->termination == Termination::kNotPositiveDefinite) {
-          if (!result->free_motions.empty()) throw UnobservableError(result->message, result->free_motions);
-          throw NumericalError(result->message);
-        }
         const auto& g = std::get<PoseGraph<Pose>>(*solution.graph);
-        solution.marginals = std::make_shared<Marginals>();
-        solution.marginals->queries =
-            std::make_shared<const terse::Marginals<Pose>>(g, result->T_world_body, std::move(result->factor));
-        solution.marginals->graph = solution.graph;
+        using Queries = terse::Marginals<Pose>;
+        std::shared_ptr<const Queries> queries;
+        if (result->termination == Termination::kNotPositiveDefinite) {
+          queries = std::make_shared<const Queries>(g, *result);  // which says what is free
+        } else if (result->factor.Variables() == static_cast<int>(g.Poses().size())) {
+          queries = std::make_shared<const Queries>(g, result->T_world_body, std::move(result->factor));
+        } else {  // pickles leave it out
+          queries = std::make_shared<const Queries>(WithWeights(g, result->weights), result->T_world_body);
+        }
+        solution.marginals = std::make_shared<Marginals>(Marginals{std::move(queries), solution.graph});
       },
       solution.result);
   return solution.marginals;
 }
 
 Graph GraphOf(const Solution& solution) {
-  Graph out(*solution.graph);
-  std::visit(
+  return std::visit(
       [&](const auto& result) {
         using Pose = std::decay_t<decltype(result->T_world_body.front())>;
-        auto& g = std::get<PoseGraph<Pose>>(out.Change());
-        for (std::size_t k = 0; k < result->T_world_body.size(); ++k) {
-          g.SetPose(g.Poses()[k].id, result->T_world_body[k]);
-        }
+        return Graph(std::get<PoseGraph<Pose>>(*solution.graph).WithPoses(result->T_world_body));
       },
       solution.result);
-  return out;
+}
+
+// The Cholesky factor is left out; marginals() makes it again.
+template <class Pose>
+using StoredSolution = std::pair<PoseGraph<Pose>, BatchResult<Pose>>;
+
+py::tuple PickledSolution(const Solution& solution) {
+  return std::visit(
+      [&](const auto& result) {
+        using Pose = std::decay_t<decltype(result->T_world_body.front())>;
+        const auto& g = std::get<PoseGraph<Pose>>(*solution.graph);
+        return py::make_tuple(
+            Pose::kDim,
+            Pickled("pickle Solution", std::pair<const PoseGraph<Pose>&, const BatchResult<Pose>&>(g, *result)));
+      },
+      solution.result);
+}
+
+Solution UnpickledSolution(const py::tuple& state) {
+  return ForDimension(state[0].cast<int>(), [&](auto origin) {
+    using Pose = decltype(origin);
+    auto [g, result] = Unpickled<StoredSolution<Pose>>("pickle Solution", state[1].cast<py::bytes>());
+    if (result.T_world_body.size() != g.Poses().size()) throw std::invalid_argument("the pickle makes no sense");
+    return MakeSolution(std::move(result), std::make_shared<const AnyPoseGraph>(std::move(g)));
+  });
 }
 
 py::ssize_t RowLength(const Solution& solution) { return DimensionOf(solution.result) == 2 ? 3 : 7; }
@@ -160,7 +182,8 @@ void BindSolve(py::module_& module) {
           "free_motions", [](const Solution& s) { return Visit(s, [](auto& r) { return r.free_motions; }); },
           "What no measurement sees, if the system is singular (list of FreeMotion).")
       .def("__repr__",
-           [](const Solution& s) { return Visit(s, [](auto& r) { return "<terse.Solution: " + r.message + ">"; }); });
+           [](const Solution& s) { return Visit(s, [](auto& r) { return "<terse.Solution: " + r.message + ">"; }); })
+      .def(py::pickle(&PickledSolution, &UnpickledSolution));
   module.def(
       "solve", &Solve, py::arg("graph"), py::kw_only(), py::arg("initial") = "auto",
       py::arg("method") = "levenberg_marquardt", py::arg("max_iterations") = 200, py::arg("relative_tolerance") = 1e-11,

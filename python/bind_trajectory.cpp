@@ -8,7 +8,10 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
 #include "terse/core/evaluate.h"
+#include "text.h"
 #include "values.h"
 
 namespace terse::python {
@@ -82,25 +85,38 @@ Evaluation EvaluateAny(const py::object& estimate, const py::object& reference, 
   return Evaluate(matched.T_world_estimate, matched.T_world_reference, options);
 }
 
+std::string ErrorText(const PoseError& error) {
+  return SixDigits(error.translation_m) + " m, " + SixDigits(error.rotation_deg) + " deg";
+}
+
 void BindEvaluate(py::module_& module) {
   py::class_<PoseError>(module, "PoseError", "Root mean squares over poses.")
       .def_readonly("translation_m", &PoseError::translation_m, "Metres.")
       .def_readonly("rotation_deg", &PoseError::rotation_deg, "Degrees, of the angle.")
-      .def("__repr__", [](const PoseError& e) {
-        return "<terse.PoseError: " + std::to_string(e.translation_m) + " m, " + std::to_string(e.rotation_deg) +
-               " deg>";
-      });
+      .def("__repr__", [](const PoseError& e) { return "<terse.PoseError: " + ErrorText(e) + ">"; })
+      .def(PickleOf<PoseError>("pickle PoseError"));
   py::class_<KittiError>(module, "KittiError", "KITTI's metric over segments of 100 to 800 m.")
       .def_readonly("t_rel_percent", &KittiError::t_rel_percent, "Per cent of the length.")
       .def_readonly("r_rel_deg_per_100m", &KittiError::r_rel_deg_per_100m, "Degrees per 100 m.")
-      .def_readonly("segments", &KittiError::segments, "How many segments there were.");
+      .def_readonly("segments", &KittiError::segments, "How many segments there were.")
+      .def("__repr__",
+           [](const KittiError& e) {
+             return "<terse.KittiError: " + SixDigits(e.t_rel_percent) + " %, " + SixDigits(e.r_rel_deg_per_100m) +
+                    " deg per 100 m, " + Counted(e.segments, "segment") + ">";
+           })
+      .def(PickleOf<KittiError>("pickle KittiError"));
   py::class_<Evaluation>(module, "Evaluation", "Errors of a trajectory against a reference.")
       .def_readonly("ate", &Evaluation::ate, "PoseError after alignment, pose by pose.")
       .def_readonly("rpe", &Evaluation::rpe, "PoseError from each matched pose to the next.")
       .def_readonly("rpe_all", &Evaluation::rpe_all, "PoseError of every ordered pair of poses.")
       .def_readonly("poses", &Evaluation::poses, "How many poses matched.")
       .def_readonly("kitti", &Evaluation::kitti,
-                    "KittiError; None if not asked for, or if the path is shorter than 100 m.");
+                    "KittiError; None if not asked for, or if the path is shorter than 100 m.")
+      .def("__repr__",
+           [](const Evaluation& e) {
+             return "<terse.Evaluation: " + Counted(e.poses, "pose") + ", ATE " + ErrorText(e.ate) + ">";
+           })
+      .def(PickleOf<Evaluation>("pickle Evaluation"));
   module.def("evaluate", &EvaluateAny, py::arg("estimate"), py::arg("reference"), py::kw_only(),
              py::arg("alignment") = "se3", py::arg("kitti") = false, py::arg("threads") = 0,
              "Errors of an estimated trajectory: ATE, RPE and, if asked for, KITTI's metric (Evaluation).\n\n"
@@ -135,7 +151,16 @@ void BindTrajectory(py::module_& module) {
       .def_property_readonly(
           "format", [](const HeldTrajectory& t) { return WordOf(t.trajectory.format); },
           "What the stamps are: 'tum' (seconds), 'kitti' (line numbers) or 'graph' (pose ids).")
-      .def("__len__", [](const HeldTrajectory& t) { return t.trajectory.stamps.size(); });
+      .def("__len__", [](const HeldTrajectory& t) { return t.trajectory.stamps.size(); })
+      .def("__repr__",
+           [](const HeldTrajectory& t) {
+             const auto& stamps = t.trajectory.stamps;
+             const std::string range =
+                 stamps.empty() ? "" : ", stamps " + SixDigits(stamps.front()) + " to " + SixDigits(stamps.back());
+             return "<terse.Trajectory: " + Counted(stamps.size(), "pose") + range + ">";
+           })
+      .def(PickleOf<HeldTrajectory>(
+          "pickle Trajectory", [](const HeldTrajectory& t) -> const Trajectory& { return t.trajectory; }, &Hold));
   module.def(
       "read_trajectory",
       [](const Path& path) {

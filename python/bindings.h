@@ -20,5 +20,6 @@ void BindDecision(pybind11::module_& module);
 void BindReplay(pybind11::module_& module);
 void BindMapFile(pybind11::module_& module);
 void BindCompact(pybind11::module_& module);
+void BindCompactRun(pybind11::module_& module);
 
 }  // namespace terse::python

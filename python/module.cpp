@@ -23,4 +23,5 @@ PYBIND11_MODULE(_terse, module) {
   BindReplay(module);
   BindMapFile(module);
   BindCompact(module);
+  BindCompactRun(module);
 }

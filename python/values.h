@@ -13,6 +13,7 @@
 
 #include "conversions.h"
 #include "guard.h"
+#include "terse/compact/compact_graph.h"
 #include "terse/compact/compact_pose_slam.h"
 #include "terse/compact/thresholds.h"
 #include "terse/core/graph_file.h"
@@ -118,6 +119,16 @@ struct Replay {
   std::shared_ptr<Guard> guard = std::make_shared<Guard>();
 };
 
+struct Slam {
+  EitherShared<CompactPoseSlam> slam;
+  std::shared_ptr<Guard> guard = std::make_shared<Guard>();
+};
+// All poses of a run.
+struct Recovered {
+  py::object ids, kept, poses;
+};
+Recovered TrajectoryOf(const Slam& slam, const std::string& recovery);
+
 // A pose as it arrives, of either dimension.
 struct Input {
   std::int64_t id = 0;
@@ -129,6 +140,11 @@ struct Input {
   py::object loops = py::none();  // RelativePose objects
   bool drawn = false;
 };
+
+// Of an object with __getitem__ from 0 on.
+inline py::iterator IterateSequence(const py::object& sequence) {
+  return py::reinterpret_steal<py::iterator>(PySeqIter_New(sequence.ptr()));
+}
 
 // Sets attributes from keyword arguments, as constructors of options do. Throws TypeError for an unknown name.
 void SetAttributes(const py::object& object, const py::kwargs& keywords);

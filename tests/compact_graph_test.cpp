@@ -99,6 +99,16 @@ TYPED_TEST(CompactGraphTest, GivenOptionsAreObeyed) {
                           EXPECT_GE(seconds, 0);
                         });
   EXPECT_EQ(steps, 60);
+  // The one call tells as well, and what it is told ends it.
+  steps = 0;
+  CompactGraph<TypeParam>(graph, Strategy::kApfl,
+                          [&](const CompactPoseSlam<TypeParam>&, const Decision&, double) { ++steps; });
+  EXPECT_EQ(steps, 60);
+  EXPECT_THROW(CompactGraph<TypeParam>(graph, options,
+                                       [&](const CompactPoseSlam<TypeParam>& slam, const Decision&, double) {
+                                         if (slam.PosesSeen() == 5) throw std::runtime_error("enough");
+                                       }),
+               std::runtime_error);
 }
 
 TYPED_TEST(CompactGraphTest, SmallAndUnusableGraphs) {

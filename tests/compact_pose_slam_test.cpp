@@ -54,6 +54,33 @@ TYPED_TEST(CompactPoseSlamTest, KeepingAllIsTheBatchProblem) {
   }
 }
 
+// The short way to add a pose is the long one with nothing else known of it.
+TYPED_TEST(CompactPoseSlamTest, APoseItsOdometryAndARegistration) {
+  const auto graph = this->RandomGraph(11);
+  GraphReplay<TypeParam> replay(graph), again(graph);
+  CompactOptions<TypeParam> options;
+  options.range = replay.LinkRange();
+  options.min_loop_gain = 0.5;
+  options.min_pose_gain = 2;
+  CompactPoseSlam<TypeParam> by_input(options), by_pose(options);
+  const auto registration = replay.AsRegistration(), same_registration = again.AsRegistration();
+  int links = 0;
+  for (CompactInput<TypeParam> input : replay.Inputs()) {
+    input.loops.reset();
+    input.linkable.reset();
+    input.T_world_body.reset();
+    const Decision a = by_input.AddPose(input, registration);
+    const Decision b = by_pose.AddPose(input.id, input.odometry, same_registration);
+    EXPECT_EQ(a.verdict, b.verdict);
+    EXPECT_EQ(a.pose_gain, b.pose_gain);
+    EXPECT_EQ(a.links_accepted, b.links_accepted);
+    links += a.links_accepted;
+  }
+  EXPECT_GT(links, 0);
+  EXPECT_EQ(by_input.Finish().chi2, by_pose.Finish().chi2);
+  EXPECT_THROW(by_pose.AddPose(PoseId{-1}, std::nullopt), std::invalid_argument) << "only the first has no odometry";
+}
+
 TEST(CompactScenes, KeepingAllIsTheBatchProblem) {
   ExpectAllKeptEqualsBatch(testing::MakeScene<SE3>(Scene::kEllipse, 0, 1).graph);
   ExpectAllKeptEqualsBatch(testing::MakeScene<SE3>(Scene::kGarage, 200, 1).graph);

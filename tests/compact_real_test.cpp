@@ -26,7 +26,7 @@ struct Outcome {
 
 template <class Pose>
 std::vector<SE3> OptimumOf(const PoseGraph<Pose>& graph) {
-  const auto result = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  const auto result = SolveBatch(graph);
   EXPECT_TRUE(result.Converged()) << result.message;
   std::vector<SE3> out;
   for (const Pose& T : result.T_world_body) out.push_back(InSpace(T));

@@ -143,7 +143,7 @@ TEST(Degree, ParallelEdgesAtOnce) {
   graph.AddPose({0}, SE2());
   graph.AddPose({1}, SE2({1, 0}, 0.0));
   for (int k = 0; k < kDegree; ++k) graph.AddFactor(Edge(0, 1, 1 + (k % 2 == 0 ? 0.1 : -0.1), 0));
-  const auto result = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  const auto result = SolveBatch(graph);
   EXPECT_TRUE(result.Converged());
   EXPECT_NEAR(result.T_world_body[1].Translation()[0], 1, 1e-9);
   EXPECT_NEAR(result.chi2, kDegree * 0.01, 1e-6 * kDegree);

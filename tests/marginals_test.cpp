@@ -156,6 +156,49 @@ TYPED_TEST(MarginalsTest, SelectedInverseFollowsAnIncrementalFactor) {
   }
 }
 
+// One call from a result: its own factor, with the weights of a robust kernel.
+TYPED_TEST(MarginalsTest, OfAResult) {
+  constexpr int B = TypeParam::kDof;
+  Random rng(37);
+  auto graph = testing::MakeRandomGraph<TypeParam>(rng, {30, 0.7, 0.02}).graph;
+  const auto solved = SolveBatch(graph);
+  ASSERT_TRUE(solved.Converged());
+  const Marginals<TypeParam> marginals(graph, solved);
+  const auto by_hand = Marginals<TypeParam>(graph, solved.T_world_body, solved.factor).AllMarginals();
+  const auto all = marginals.AllMarginals();
+  const Eigen::MatrixXd Sigma = DenseCovariance(graph, solved.T_world_body);
+  for (std::size_t k = 0; k < all.size(); ++k) {
+    EXPECT_EQ(all[k], by_hand[k]);
+    const auto at = static_cast<Eigen::Index>(k) * B;
+    if (k > 0) EXPECT_LT(RelativeError(all[k], Sigma.block<B, B>(at, at)), 1e-7);
+  }
+
+  const auto ids = graph.Poses();
+  graph.AddFactor(RelativePoseFactor<TypeParam>{ids[3].id, ids[22].id, testing::RandomMotion<TypeParam>(rng, 5, 1),
+                                                testing::RandomInformation<B>(rng, 100)});
+  BatchOptions robust;
+  robust.robust.kernel = RobustKernel::kGnc;
+  auto rejected = SolveBatch(graph, robust);
+  ASSERT_EQ(rejected.weights.back(), 0);
+  const Eigen::MatrixXd Sigma_rejected = DenseCovariance(WithWeights(graph, rejected.weights), rejected.T_world_body);
+  const PoseId last = ids.back().id;
+  const Marginals<TypeParam> weighted(graph, std::move(rejected));
+  EXPECT_LT(RelativeError(weighted.Marginal(last), Sigma_rejected.template bottomRightCorner<B, B>()), 1e-7);
+}
+
+TYPED_TEST(MarginalsTest, OfASingularResultSaysWhatIsFree) {
+  PoseGraph<TypeParam> loose;
+  loose.AddPose(PoseId{0}, TypeParam());
+  loose.AddPose(PoseId{1}, TypeParam());
+  PositionPriorFactor<TypeParam> prior;
+  prior.pose = PoseId{1};
+  prior.information.setIdentity();
+  loose.AddFactor(prior);
+  const auto result = SolveBatch(loose, std::vector<TypeParam>(2));
+  ASSERT_EQ(result.termination, Termination::kNotPositiveDefinite);
+  EXPECT_THROW(Marginals<TypeParam>(loose, result), UnobservableError);
+}
+
 TYPED_TEST(MarginalsTest, Refuses) {
   Random rng(31);
   const auto random = testing::MakeRandomGraph<TypeParam>(rng, {5, 0.0, 0.02});

@@ -7,6 +7,8 @@
 #include <random>
 #include <set>
 
+#include "testing.h"
+
 namespace terse {
 namespace {
 
@@ -174,6 +176,31 @@ TYPED_TEST(PoseGraphTest, ValuesThatAreNotFiniteAreRefused) {
   graph.AddPose({0}, Pose());
   EXPECT_THROW(graph.SetPose({0}, broken), std::invalid_argument);
   EXPECT_EQ(graph.Poses()[0].T_world_body->Translation()[0], 0);
+}
+
+TYPED_TEST(PoseGraphTest, ValuesOfAllPosesAreSetAllOrNone) {
+  using Pose = TypeParam;
+  testing::Random rng(5);
+  const auto random = testing::MakeRandomGraph<Pose>(rng, {12, 0.7, 0.02});
+  auto graph = random.graph.WithPoses(random.truth);
+  ASSERT_EQ(graph.Factors().size(), random.graph.Factors().size());
+  std::vector<Pose> values;
+  for (std::size_t k = 0; k < graph.Poses().size(); ++k) {
+    EXPECT_EQ(graph.Poses()[k].id, random.graph.Poses()[k].id);
+    EXPECT_EQ(graph.Poses()[k].T_world_body->Translation(), random.truth[k].Translation());
+    values.push_back(Pose());
+  }
+  EXPECT_NE(random.graph.Poses().back().T_world_body->Translation(), random.truth.back().Translation()) << "a copy";
+  typename Pose::Tangent d = Pose::Tangent::Zero();
+  d[0] = kNaN;
+  values.back() = Pose::Exp(d);
+  EXPECT_THROW(graph.SetPoses(values), std::invalid_argument);
+  values.pop_back();
+  EXPECT_THROW(graph.SetPoses(values), std::invalid_argument);
+  EXPECT_THROW(graph.WithPoses(values), std::invalid_argument);
+  for (std::size_t k = 0; k < graph.Poses().size(); ++k) {
+    EXPECT_EQ(graph.Poses()[k].T_world_body->Translation(), random.truth[k].Translation()) << "nothing has changed";
+  }
 }
 
 TYPED_TEST(PoseGraphTest, FindDefectNamesTheFactorAndTheEigenvalue) {

@@ -14,6 +14,7 @@
 #include "terse/core/graph_file.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/replay.h"
+#include "terse/core/residual.h"
 #include "testing_incremental.h"
 #include "testing_scene.h"
 
@@ -194,6 +195,28 @@ TYPED_TEST(RobustTest, BatchFindsTheCleanSolution) {
     const auto dcs = SolveBatch(scene.graph, start, With(RobustKernel::kDcs));
     EXPECT_LT(LargestDifference(dcs.T_world_body, scene.optimum.T_world_body), 0.05);
   }
+}
+
+TYPED_TEST(RobustTest, AGraphWithWeightsCostsWhatItsFactorsDo) {
+  const auto scene = MakeScene<TypeParam>(4, 0.2);
+  const auto solved = SolveBatch(scene.graph, With(RobustKernel::kCauchy));
+  const auto weighted = WithWeights(scene.graph, solved.weights).WithPoses(solved.T_world_body);
+  double expected = 0;
+  std::size_t k = 0;
+  const auto value = [&](PoseId id) { return solved.T_world_body[std::size_t(scene.graph.IndexOf(id))]; };
+  for (const auto& node : scene.graph.Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    expected += solved.weights[k++] * FactorChi2(node.factor, value(ends.first), value(ends.second));
+  }
+  EXPECT_NEAR(Chi2(weighted), expected, 1e-9 * expected);
+
+  std::vector<double> weights(scene.graph.Factors().size(), 1.0);
+  EXPECT_EQ(WithWeights(scene.graph, {}).Factors().size(), weights.size());
+  EXPECT_EQ(WithWeights(scene.graph, weights).Factors().back().id, scene.graph.Factors().back().id);
+  weights.back() = 0;
+  EXPECT_EQ(WithWeights(scene.graph, weights).Factors().size(), weights.size() - 1);
+  weights.pop_back();
+  EXPECT_THROW(WithWeights(scene.graph, weights), std::invalid_argument);
 }
 
 TYPED_TEST(RobustTest, IncrementalFindsItStepByStep) {

@@ -86,11 +86,9 @@ TEST(StartValuesTest, TheScaleOfTheInformationDoesNotMatter) {
 
 TEST(StartValuesTest, ASolvedFileGoesOn) {
   auto graph = Manhattan(500, 4);
-  const auto optimum = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  const auto optimum = SolveBatch(graph);
   ASSERT_TRUE(optimum.Converged());
-  for (std::size_t k = 0; k < optimum.T_world_body.size(); ++k) {
-    graph.SetPose(graph.Poses()[k].id, optimum.T_world_body[k]);
-  }
+  graph.SetPoses(optimum.T_world_body);
   const auto choice = ChooseStart(graph);
   EXPECT_EQ(choice.chosen, InitialValues::kFile);
   EXPECT_NEAR(TrialOf(choice, InitialValues::kFile).cost, optimum.chi2, 1e-8 * optimum.chi2);
@@ -102,10 +100,8 @@ TEST(StartValuesTest, WhatThereIsNotIsSaid) {
   EXPECT_NE(TrialOf(choice, InitialValues::kFile).unavailable.find("has no value"), std::string::npos);
   EXPECT_TRUE(TrialOf(choice, InitialValues::kChordal).unavailable.empty());
 
-  auto with_values = graph;
-  const auto composed = ComputeInitialValues(graph, InitialValues::kCompose);
-  for (std::size_t k = 0; k < composed.size(); ++k) with_values.SetPose(graph.Poses()[k].id, composed[k]);
-  EXPECT_EQ(TrialOf(ChooseStart(with_values), InitialValues::kCompose).same, InitialValues::kFile);
+  const auto composed = graph.WithPoses(ComputeInitialValues(graph, InitialValues::kCompose));
+  EXPECT_EQ(TrialOf(ChooseStart(composed), InitialValues::kCompose).same, InitialValues::kFile);
 
   auto parted = graph;
   parted.AddPose({1000});
@@ -123,10 +119,43 @@ TEST(StartValuesTest, ThreadsChangeNothing) {
   }
 }
 
+bool SameBits(const std::vector<SE2>& a, const std::vector<SE2>& b) {
+  return a.size() == b.size() && std::equal(a.begin(), a.end(), b.begin(), [](const SE2& x, const SE2& y) {
+           return x.Translation() == y.Translation() && x.Theta() == y.Theta();
+         });
+}
+
+// The start that SolveBatch takes on its own is the one that is compared, or composed where a kernel doubts the loops.
+TEST(StartValuesTest, SolveBatchChoosesItsStart) {
+  const auto graph = Manhattan(400, 7);
+  const auto choice = ChooseStart(graph);
+  const auto solved = SolveBatch(graph), by_hand = SolveBatch(graph, choice.T_world_body);
+  EXPECT_TRUE(solved.Converged());
+  EXPECT_TRUE(SameBits(solved.T_world_body, by_hand.T_world_body));
+  EXPECT_EQ(solved.iterations, by_hand.iterations);
+  EXPECT_EQ(StartFor(graph, {}).chosen, choice.chosen);
+  EXPECT_EQ(StartFor(graph, {}).trials.size(), 4u);
+
+  BatchOptions robust;
+  robust.robust.kernel = RobustKernel::kDcs;
+  const auto composed = ComputeInitialValues(graph, InitialValues::kCompose);
+  const auto start = StartFor(graph, robust);
+  EXPECT_EQ(start.chosen, InitialValues::kCompose);
+  EXPECT_TRUE(start.trials.empty());
+  EXPECT_TRUE(SameBits(start.T_world_body, composed));
+  EXPECT_TRUE(SameBits(SolveBatch(graph, robust).T_world_body, SolveBatch(graph, composed, robust).T_world_body));
+
+  EXPECT_TRUE(StartFor(PoseGraph<SE2>(), {}).T_world_body.empty());
+  EXPECT_THROW(SolveBatch(PoseGraph<SE2>()), std::invalid_argument);
+  auto parted = graph;
+  parted.AddPose({1000});
+  EXPECT_THROW(SolveBatch(parted), std::invalid_argument);
+}
+
 // Poses held at their values: the relaxation meets them all, not only the first.
 TEST(StartValuesTest, ChordalMeetsEveryFixedPose) {
   auto graph = Manhattan(300, 6);
-  const auto optimum = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  const auto optimum = SolveBatch(graph);
   for (const std::int64_t id : {20, 130, 290}) {
     graph.SetPose({id}, optimum.T_world_body[static_cast<std::size_t>(graph.IndexOf({id}))]);
     graph.SetFixed({id}, true);

@@ -443,6 +443,26 @@ TEST(StateArchiveTest, EveryKindOfMember) {
   EXPECT_EQ(again.Content(), file.Content());
 }
 
+TEST(StateArchiveTest, InMemoryAsInAFile) {
+  Sample sample;
+  sample.text = "in memory";
+  const TestFile file("sample.state");
+  SaveState(file.Path(), "sample", sample);
+  const std::string bytes = StateBytes("sample", sample);
+  EXPECT_EQ(bytes, file.Content());
+  EXPECT_EQ(FromStateBytes<Sample>(bytes, "here", "sample").text, sample.text);
+  for (const std::string& wrong : {std::string(), std::string("no state"), bytes.substr(0, bytes.size() - 1),
+                                   bytes.substr(0, bytes.size() - 1) + char(bytes.back() ^ 1)}) {
+    try {
+      FromStateBytes<Sample>(wrong, "here", "sample");
+      ADD_FAILURE() << wrong.size();
+    } catch (const FileError& error) {
+      EXPECT_EQ(error.path(), "here");
+    }
+  }
+  EXPECT_THROW(FromStateBytes<Sample>(bytes, "here", "another"), FileError);
+}
+
 // Over a whole data set: saved and resumed half-way, the same to the end.
 template <class Pose>
 void ExpectResumes(const std::string& path) {

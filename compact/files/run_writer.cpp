@@ -93,12 +93,6 @@ std::string InformationComment(const InformationScale& scale) {
          " of odometry, " + kind(scale.loops) + " of loops";
 }
 
-template <class Pose>
-PoseGraph<Pose> AtOptimum(PoseGraph<Pose> kept, const BatchResult<Pose>& result) {
-  for (std::size_t k = 0; k < result.T_world_body.size(); ++k) kept.SetPose(kept.Poses()[k].id, result.T_world_body[k]);
-  return kept;
-}
-
 }  // namespace
 
 RunRows ReadRunRows(const std::string& folder, std::size_t poses) {
@@ -135,7 +129,7 @@ void WriteDecisions(const std::vector<Decision>& decisions, const std::string& p
 template <class Pose>
 void WriteMapAndTrajectory(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result, Recovery recovery,
                            RotationInformation rotation_information, const std::string& folder) {
-  WriteG2o(AtOptimum(slam.Solver().Graph(), result), folder + "/compact.g2o", rotation_information);
+  WriteG2o(slam.Solver().Graph().WithPoses(result.T_world_body), folder + "/compact.g2o", rotation_information);
   WriteTum(MakeRunTrajectories(slam, recovery, nullptr).estimate, folder + "/trajectory.tum");
 }
 
@@ -165,7 +159,7 @@ double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
   const CompactOptions<Pose>& options = run.slam.Options();
   WriteThresholds(options, folder + "/thresholds.json");
   const PoseGraph<Pose>& kept = run.slam.Solver().Graph();
-  WriteG2o(AtOptimum(kept, run.result), folder + "/compact.g2o", run.rotation_information,
+  WriteG2o(kept.WithPoses(run.result.T_world_body), folder + "/compact.g2o", run.rotation_information,
            InformationComment(run.information_scale));
   WriteCompactMap(run.slam.Export(run.recovery), options.strategy, folder + "/graph.json", run.information_scale);
   WriteTum(run.trajectories.estimate, folder + "/trajectory.tum");

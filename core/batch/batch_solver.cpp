@@ -13,6 +13,7 @@
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
 #include "terse/core/number_text.h"
+#include "terse/core/start_values.h"
 
 namespace terse {
 namespace {
@@ -325,6 +326,11 @@ BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pos
 }
 
 template <class Pose>
+BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const BatchOptions& options) {
+  return SolveBatch(graph, StartFor(graph, options).T_world_body, options);
+}
+
+template <class Pose>
 BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body) {
   if (T_world_body.size() != graph.Poses().size()) throw std::invalid_argument("one value per pose is needed");
   BlockCholesky<Pose::kDof> factor;
@@ -338,6 +344,7 @@ BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vect
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template BatchResult<Pose> SolveBatch<Pose>(const PoseGraph<Pose>&, const BatchOptions&);                           \
   template BatchResult<Pose> SolveBatch<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, const BatchOptions&); \
   template BlockCholesky<Pose::kDof> FactorAt<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&);
 TERSE_INSTANTIATE(SE2)

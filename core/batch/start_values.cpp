@@ -227,8 +227,17 @@ StartChoice<Pose> ChooseStart(const PoseGraph<Pose>& graph, const StartOptions& 
   return Comparison<Pose>(graph, options).Execute();
 }
 
-#define TERSE_INSTANTIATE(Pose) \
-  template StartChoice<Pose> ChooseStart<Pose>(const PoseGraph<Pose>&, const StartOptions&);
+template <class Pose>
+StartChoice<Pose> StartFor(const PoseGraph<Pose>& graph, const BatchOptions& options) {
+  if (options.robust.kernel == RobustKernel::kNone && !graph.Poses().empty()) {
+    return ChooseStart(graph, {options.threads, options.log});
+  }
+  return {InitialValues::kCompose, ComputeInitialValues(graph, InitialValues::kCompose), {}};
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                              \
+  template StartChoice<Pose> ChooseStart<Pose>(const PoseGraph<Pose>&, const StartOptions&); \
+  template StartChoice<Pose> StartFor<Pose>(const PoseGraph<Pose>&, const BatchOptions&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -63,6 +63,27 @@ void PoseGraph<Pose>::SetPose(PoseId id, const Pose& T_world_body) {
 }
 
 template <class Pose>
+void PoseGraph<Pose>::SetPoses(const std::vector<Pose>& T_world_body) {
+  if (T_world_body.size() != poses_.size()) {
+    throw std::invalid_argument(std::to_string(T_world_body.size()) + " values for " + std::to_string(poses_.size()) +
+                                " poses");
+  }
+  for (std::size_t k = 0; k < poses_.size(); ++k) {
+    if (!IsFinite(T_world_body[k])) {
+      throw std::invalid_argument(Name(poses_[k].id) + " would get a value that is not finite");
+    }
+  }
+  for (std::size_t k = 0; k < poses_.size(); ++k) poses_[k].T_world_body = T_world_body[k];
+}
+
+template <class Pose>
+PoseGraph<Pose> PoseGraph<Pose>::WithPoses(const std::vector<Pose>& T_world_body) const {
+  PoseGraph out = *this;
+  out.SetPoses(T_world_body);
+  return out;
+}
+
+template <class Pose>
 void PoseGraph<Pose>::SetFixed(PoseId id, bool fixed) {
   poses_[static_cast<std::size_t>(IndexOf(id))].fixed = fixed;
 }

@@ -95,7 +95,31 @@ std::vector<FactorId> LoopFactors(const PoseGraph<Pose>& graph) {
   return loops;
 }
 
-template std::vector<FactorId> LoopFactors<SE2>(const PoseGraph<SE2>&);
-template std::vector<FactorId> LoopFactors<SE3>(const PoseGraph<SE3>&);
+template <class Pose>
+PoseGraph<Pose> WithWeights(const PoseGraph<Pose>& graph, const std::vector<double>& weights) {
+  PoseGraph<Pose> out = graph;
+  if (weights.empty()) return out;
+  if (weights.size() != graph.Factors().size()) throw std::invalid_argument("one weight per factor is needed");
+  auto weight = weights.begin();
+  for (const auto& node : graph.Factors()) {
+    if (*weight != 1) {
+      const auto* relative = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
+      if (relative == nullptr) throw std::invalid_argument("priors have no weights");
+      RelativePoseFactor<Pose> loop = *relative;
+      loop.information *= *weight;
+      out.RemoveFactor(node.id);
+      if (FindDefect<Pose>(loop).empty()) out.AddFactor(loop);  // not if the weight is zero
+    }
+    ++weight;
+  }
+  return out;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                             \
+  template std::vector<FactorId> LoopFactors<Pose>(const PoseGraph<Pose>&); \
+  template PoseGraph<Pose> WithWeights<Pose>(const PoseGraph<Pose>&, const std::vector<double>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
 
 }  // namespace terse

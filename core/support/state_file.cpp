@@ -25,6 +25,13 @@ std::string Quoted(const std::string& text) {
   return out + "\"";
 }
 
+void CheckStart(std::string_view start, const std::string& path, const std::string& kind) {
+  if (start.substr(0, kMagicLength) == std::string_view(kStateMagic, kMagicLength)) return;
+  throw FileError(path, 0,
+                  start.empty() ? "the file is empty, expected a saved state"
+                                : "not a saved state (it does not begin as one), expected one of kind " + Quoted(kind));
+}
+
 }  // namespace
 
 StateWriter::StateWriter(const std::string& kind) {
@@ -44,27 +51,37 @@ void StateWriter::PutLongDouble(long double number) {
   }
 }
 
-void StateWriter::Save(const std::string& path) {
+std::string StateWriter::Bytes() && {
   StateWriter length("");
   length.bytes_.clear();
   length.Put(static_cast<std::uint64_t>(bytes_.size() - members_at_));
   bytes_.replace(members_at_ - sizeof(std::uint64_t), sizeof(std::uint64_t), length.bytes_);
   Put(Hash(bytes_.data(), bytes_.size()));
+  return std::move(bytes_);
+}
+
+void StateWriter::Save(const std::string& path) && {
+  const std::string bytes = std::move(*this).Bytes();
   AtomicFile file(path);
-  file.Stream().write(bytes_.data(), static_cast<std::streamsize>(bytes_.size()));
+  file.Stream().write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
   file.Commit();
 }
 
 StateReader::StateReader(const std::string& path, const std::string& kind) : path_(path) {
-  const auto refuse = [&](const std::string& cause) { throw FileError(path_, 0, cause); };
-  const auto expect_state = [&](std::string_view start) {
-    if (start.substr(0, kMagicLength) == std::string_view(kStateMagic, kMagicLength)) return;
-    refuse(start.empty() ? "the file is empty, expected a saved state"
-                         : "not a saved state (it does not begin as one), expected one of kind " + Quoted(kind));
-  };
   ReadLimits limits;
-  limits.check_start = expect_state;
+  limits.check_start = [&](std::string_view start) { CheckStart(start, path, kind); };
   bytes_ = ReadAll(path, limits);
+  Open(kind);
+}
+
+StateReader::StateReader(std::string bytes, const std::string& name, const std::string& kind)
+    : path_(name), bytes_(std::move(bytes)) {
+  CheckStart(bytes_, name, kind);
+  Open(kind);
+}
+
+void StateReader::Open(const std::string& kind) {
+  const auto refuse = [&](const std::string& cause) { throw FileError(path_, 0, cause); };
   members_end_ = bytes_.size();
   at_ = kMagicLength;
   const auto cut_off = [&] {

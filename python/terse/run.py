@@ -42,7 +42,7 @@ class RunDecision:
     candidates: Tuple[RunCandidate, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """What the folder of a compact run holds; what is missing there is None or empty."""
 
@@ -61,6 +61,9 @@ class Run:
     #: thresholds.json and stats.json.
     thresholds: Optional[Dict[str, Any]] = None
     stats: Optional[Dict[str, Any]] = None
+
+    def __repr__(self) -> str:
+        return f"<terse.Run: {len(self.graph)} of {len(self.ids)} poses kept, {len(self.decisions)} decisions>"
 
     def accepted(self) -> Iterator[Tuple[int, RunCandidate]]:
         """Accepted links: the id of the pose at whose step a link was accepted, and the candidate."""

@@ -39,6 +39,72 @@ def test_against_the_command(command, ellipse, tmp_path):
     np.testing.assert_allclose(covariances, run.covariances, rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.parametrize("strategy", ["fpfl", "apfl", "apal"])
+def test_one_call_against_the_command(command, ellipse, tmp_path, strategy):
+    path = tmp_path / "ellipse.g2o"
+    terse.write_graph(ellipse, path)
+    command("compact", path, "--strategy", strategy, "--output", tmp_path / "run", "--quiet")
+    told = []
+    graph = terse.read_graph(path)
+    run = terse.compact(graph, strategy=strategy, progress=lambda done, total: told.append((done, total)))
+    written = terse.read_run(tmp_path / "run")
+    assert told == [(k + 1, len(graph)) for k in range(len(graph))]
+    assert run.solution.chi2 == written.stats["chi2"]
+    assert run.poses_seen == len(graph)
+    for name in ("poses_kept", "links_kept", "links_offered", "registrations_tried", "links_refused"):
+        assert getattr(run, name) == written.stats[name]
+    assert [(d.pose_id, d.kept, d.verdict) for d in run.decisions] == [
+        (d.pose_id, d.kept, d.verdict) for d in written.decisions
+    ]
+    assert run.registrations_tried == sum(d.registrations_tried for d in run.decisions)
+    np.testing.assert_array_equal(run.graph().poses, written.graph.poses)
+    assert run.graph().chi2() == pytest.approx(run.solution.chi2, rel=1e-9)
+    np.testing.assert_array_equal(run.trajectory().ids, written.ids)
+    assert len(run.step_seconds) == len(graph) and (run.step_seconds >= 0).all()
+    assert run.odometry_scale == run.loop_scale == (1, 1)
+
+
+def test_one_call_with_options_is_the_run_by_hand(ellipse, thresholds):
+    options = thresholds.options(strategy="apfl")
+    run = terse.compact(ellipse, options)
+    slam = terse.CompactPoseSlam(options)
+    decisions = slam.run(terse.GraphReplay(ellipse))
+    assert run.solution.chi2 == slam.finish().chi2 and reasons(run.decisions) == reasons(decisions)
+    # The map can go on.
+    link = terse.RelativePose(int(ellipse.ids[-1]), 7000, [1, 0, 0, 0, 0, 0, 1], covariance=np.full(6, 1e-4))
+    assert run.slam.add_pose(7000, link).kept and run.slam.poses_seen == len(ellipse) + 1
+
+
+def test_one_call_scales_information_that_nobody_estimated():
+    graph, _ = square(3)
+    edges = graph.edges()
+    unit = terse.PoseGraph(2)
+    unit.add_poses(graph.ids)
+    unit.add_edges(edges.from_ids, edges.to_ids, edges.T_from_to, information=np.ones(3))
+    calibrated, report = terse.calibrate_information(unit)
+    run = terse.compact(unit)
+    assert report.verdict == "contradicted"
+    assert run.odometry_scale == report.odometry_scale and run.loop_scale == report.loop_scale != (1, 1)
+
+
+def test_one_call_that_is_misused(ellipse, thresholds):
+    for fails in (
+        lambda: terse.compact(terse.PoseGraph(2)),
+        lambda: terse.compact(ellipse, strategy="all"),
+        lambda: terse.compact(ellipse, strategy="rfpfl"),
+        lambda: terse.compact(ellipse, terse.CompactOptions(2)),
+        lambda: terse.compact(ellipse, thresholds.options(), strategy="fpfl"),
+    ):
+        with pytest.raises(ValueError):
+            fails()
+
+    def fail(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        terse.compact(ellipse, progress=fail)
+
+
 def without_loops(replay):
     """The inputs of a replay for a registration: with loops nothing else is registered."""
     inputs = list(replay)

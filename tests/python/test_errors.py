@@ -1,3 +1,5 @@
+import pickle
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,16 @@ def test_file_error_has_path_and_line(tmp_path):
     error = caught.value
     assert error.path == str(path) and error.line == 2 and error.cause
     assert str(error) == f"{path}:2: {error.cause}"
-    assert isinstance(error, RuntimeError) and terse.FileError.__module__ == "terse"
+    assert terse.FileError.__module__ == "terse"
+    # As others of the operating system's.
+    assert isinstance(error, OSError) and error.filename == str(path) and error.strerror == error.cause
+    again = pickle.loads(pickle.dumps(error))
+    assert str(again) == str(error) and (again.path, again.line, again.cause) == (error.path, 2, error.cause)
+
+
+def test_a_bare_file_error_has_no_file():
+    error = terse.FileError("something")
+    assert str(error) == "something" and error.filename is None and error.strerror is None and error.errno is None
 
 
 def test_missing_files_and_folders(tmp_path):

@@ -1,4 +1,5 @@
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -98,6 +99,8 @@ def test_unobservable():
             fails()
         motions = caught.value.motions
         assert 100 in [motion.pose for motion in motions] and motions[0].directions.shape[0] == 3
+        again = pickle.loads(pickle.dumps(caught.value))
+        assert str(again) == str(caught.value) and str(again.motions[0]) == str(motions[0])
         assert str(motions[0]) and motions[0].freedom in ("floating", "loosely_held", "unmeasured")
     assert issubclass(terse.UnobservableError, terse.NumericalError)
 

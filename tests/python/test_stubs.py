@@ -109,6 +109,11 @@ def test_typed_use(tmp_path):
         "slam = terse.CompactPoseSlam(terse.select_thresholds(graph).options(strategy='fpfl'))\n"
         "verdict: str = slam.add_pose(0, None, register).verdict\n"
         "sigma: float = float(terse.solve(graph, robust='gnc').marginals().marginal(3)[0, 0])\n"
+        "kept: int = terse.compact(graph, strategy='fpfl').poses_kept\n"
+        "edges: int = sum(edge.to_id for edge in graph.edges()) + sum(graph)\n"
+        "try: terse.read_graph('b.g2o')\n"
+        "except OSError as error: where = error.filename\n"
+        "terse.compact(graph, strategy='rfpfl')  # type: ignore[arg-type]\n"
         "terse.solve(graph, robust='best')  # type: ignore[arg-type]\n"
         "slam.add_pose(0, None, terse.evaluate)  # type: ignore[arg-type]\n"
     )

@@ -6,7 +6,6 @@
 #include "commands/commands.h"
 #include "commands/convention_options.h"
 #include "commands/output_paths.h"
-#include "commands/start.h"
 #include "commands/verbose.h"
 #include "run/progress.h"
 #include "run/run_statistics.h"
@@ -89,8 +88,7 @@ Point<Pose> SolvedPoint(const PoseGraph<Pose>& graph, const CovarianceCommandOpt
     progress.Update(iteration);
     return true;
   };
-  nlohmann::ordered_json start;
-  BatchResult<Pose> result = SolveBatch(graph, StartValues(graph, InitialValues::kAuto, batch, start), batch);
+  BatchResult<Pose> result = SolveBatch(graph, batch);
   RequireOptimum(result);
   if (!options.quiet) {
     if (!result.Converged()) std::cerr << "terse: warning: not converged: " << result.message << '\n';

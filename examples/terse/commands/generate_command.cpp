@@ -10,7 +10,6 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/generate.h"
-#include "terse/core/initial_values.h"
 #include "terse/core/number_text.h"
 #include "terse/core/outliers.h"
 #include "terse/core/require_optimum.h"
@@ -154,7 +153,7 @@ void GenerateScene(const GenerateCommandOptions& options) {
 // A file has no truth; its optimum, without the wrong loops, is the best known.
 template <class Pose>
 std::vector<Pose> Optimum(const PoseGraph<Pose>& graph) {
-  BatchResult<Pose> result = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  BatchResult<Pose> result = SolveBatch(graph);
   RequireOptimum(result);
   return std::move(result.T_world_body);
 }

@@ -157,22 +157,6 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
   return result;
 }
 
-// The graph whose information the result's factor holds.
-template <class Pose>
-PoseGraph<Pose> Weighted(const PoseGraph<Pose>& graph, const std::vector<double>& weights) {
-  PoseGraph<Pose> out = graph;
-  std::size_t k = 0;
-  for (const auto& node : graph.Factors()) {
-    const double weight = weights.empty() ? 1 : weights[k++];
-    if (weight == 1) continue;
-    out.RemoveFactor(node.id);
-    auto loop = std::get<RelativePoseFactor<Pose>>(node.factor);
-    loop.information *= weight;
-    if (FindDefect<Pose>(loop).empty()) out.AddFactor(loop);  // not if the weight is zero
-  }
-  return out;
-}
-
 // What the kernel made of the loops.
 template <class Pose>
 void AddRobustStats(const PoseGraph<Pose>& graph, const BatchResult<Pose>& result, const RobustOptions& robust,
@@ -198,8 +182,8 @@ void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& res
   for (const auto& node : graph.Poses()) ids.push_back(node.id);
   // The factor of an incremental run numbers its variables in order of arrival: factor again in the graph's order.
   const Marginals<Pose> marginals = options.mode == Mode::kBatch
-                                        ? Marginals<Pose>(graph, result.T_world_body, result.factor)
-                                        : Marginals<Pose>(Weighted(graph, result.weights), result.T_world_body);
+                                        ? Marginals<Pose>(graph, result)
+                                        : Marginals<Pose>(WithWeights(graph, result.weights), result.T_world_body);
   const std::string undetermined = DescribeUndetermined(graph, result.T_world_body);
   if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
   std::vector<typename Pose::Jacobian> covariances;
@@ -248,11 +232,9 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
     WriteCovariances(graph, result, options);
     stats.seconds_covariance = SecondsNow() - before;
   }
+  graph.SetPoses(result.T_world_body);
   std::vector<PoseId> ids;
-  for (std::size_t k = 0; k < result.T_world_body.size(); ++k) {
-    ids.push_back(graph.Poses()[k].id);
-    graph.SetPose(ids.back(), result.T_world_body[k]);
-  }
+  for (const auto& node : graph.Poses()) ids.push_back(node.id);
   if (!options.output.empty()) WriteG2o(graph, options.output, options.read.rotation_information);
   if (!options.trajectory.empty()) WriteTrajectory(MakeTrajectory(ids, result.T_world_body), options.trajectory);
   stats.seconds_total = SecondsNow() - start;

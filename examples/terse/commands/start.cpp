@@ -24,18 +24,11 @@ template <class Pose>
 std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, const BatchOptions& options,
                               nlohmann::ordered_json& stats) {
   const bool automatic = method == InitialValues::kAuto;
-  // Loops that may be wrong bend a relaxation; odometry does not know them.
-  const bool compare = automatic && options.robust.kernel == RobustKernel::kNone && !graph.Poses().empty();
-  if (!compare) {
-    if (automatic) method = InitialValues::kCompose;
-    stats["initial"] = {{"method", Name(method)}, {"chosen_by", automatic ? "auto" : "option"}};
-    return ComputeInitialValues(graph, method);
-  }
-  StartChoice<Pose> choice = ChooseStart(graph, {options.threads, options.log});
-  nlohmann::ordered_json compared = nlohmann::ordered_json::array();
-  for (const StartTrial& trial : choice.trials) compared.push_back(ToJson(trial));
-  stats["initial"] = {{"method", Name(choice.chosen)}, {"chosen_by", "auto"}, {"compared", compared}};
-  return std::move(choice.T_world_body);
+  StartChoice<Pose> start =
+      automatic ? StartFor(graph, options) : StartChoice<Pose>{method, ComputeInitialValues(graph, method), {}};
+  stats["initial"] = {{"method", Name(start.chosen)}, {"chosen_by", automatic ? "auto" : "option"}};
+  for (const StartTrial& trial : start.trials) stats["initial"]["compared"].push_back(ToJson(trial));
+  return std::move(start.T_world_body);
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                            \

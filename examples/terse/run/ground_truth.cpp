@@ -7,7 +7,6 @@
 
 #include "terse/compact/graph_replay.h"
 #include "terse/core/error.h"
-#include "terse/core/initial_values.h"
 #include "terse/core/stamped_trajectory.h"
 
 namespace terse {
@@ -137,7 +136,7 @@ std::vector<Pose> ReadTruth(const PoseGraph<Pose>& graph, const std::string& pat
 
 template <class Pose>
 BatchResult<Pose> BatchOptimum(const PoseGraph<Pose>& graph) {
-  BatchResult<Pose> best = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kAuto));
+  BatchResult<Pose> best = SolveBatch(graph);
   if (!best.Converged()) throw NumericalError("no batch optimum to compare with: " + best.message);
   return best;
 }

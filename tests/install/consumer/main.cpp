@@ -47,7 +47,7 @@ void SolveAndCompact(const char* path) {
               solved.log_determinant);
 
   // The library allocates the matrix, this program replaces it by a larger one and frees both.
-  const terse::Marginals<SE3> marginals(graph, solved.T_world_body, solved.factor);
+  const terse::Marginals<SE3> marginals(graph, solved);
   terse::MatrixX joint = marginals.Joint({PoseId{5}, PoseId{20}});
   std::printf("joint %ld, trace %.9g\n", static_cast<long>(joint.rows()), joint.trace());
   joint = marginals.Joint({PoseId{1}, PoseId{2}, PoseId{3}});

@@ -52,12 +52,14 @@ CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>&
 // With the options as they are. Throws std::invalid_argument besides if the graph is empty or not connected, or for
 // Strategy::kRfpfl, whose replay draws first (GraphReplay::DrawAtRandom).
 template <class Pose>
-CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options);
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options,
+                              const AfterStep<Pose>& after_step = nullptr);
 // With thresholds from a sample of the graph (SampleThresholds), all else as CompactOptions has it, and as the command
 // does: information that nobody estimated and that the residuals contradict is scaled first (CalibrateInformation), of
 // which CompactRun::information_scale tells. With the options above nothing is scaled.
 template <class Pose>
-CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kFpfl);
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kFpfl,
+                              const AfterStep<Pose>& after_step = nullptr);
 
 // Puts thresholds from a sample of the graph (SelectThresholds) into `options`: range, gains and the link covariance
 // they go with. The sample's probability, distance and innovation quantile are those of `options`; its share and size

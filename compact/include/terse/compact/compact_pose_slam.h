@@ -75,7 +75,11 @@ class CompactPoseSlam {
   CompactPoseSlam(CompactPoseSlam&&) noexcept;
   CompactPoseSlam& operator=(CompactPoseSlam&&) noexcept;
 
+  // The common case: a pose, how it was reached from an earlier one (std::nullopt for the very first), and the sensor.
   // A null registration registers nothing, like one that always returns std::nullopt.
+  Decision AddPose(PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry,
+                   const Registration<Pose>& registration = nullptr);
+  // With all else that may be known of the pose: priors, loops that are measured already, where it is fixed.
   Decision AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration = nullptr);
 
   // A link that comes late, between any two poses seen: carried to the kept poses (CarryToKept), then tested as those

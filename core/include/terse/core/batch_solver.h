@@ -1,9 +1,13 @@
 #pragma once
 // Batch optimisation of a pose graph: Gauss-Newton and Levenberg-Marquardt on the block multifrontal factor.
 //
-// Minimises chi2(T) = sum r' Omega r over all poses, T <- T.Retract(d), from given initial values; with a robust kernel
-// (robust.h) the loops' rho(r' Omega r) in place of theirs. The gauge is fixed as gauge.h describes. Throws
-// std::invalid_argument for misuse (sizes, an empty graph); everything numerical is reported in the result.
+//     const auto solved = SolveBatch(graph);
+//     WriteG2o(graph.WithPoses(solved.T_world_body), "solved.g2o");
+//
+// Minimises chi2(T) = sum r' Omega r over all poses, T <- T.Retract(d), from the best of several starts or from given
+// initial values; with a robust kernel (robust.h) the loops' rho(r' Omega r) in place of theirs. The gauge is fixed as
+// gauge.h describes. Throws std::invalid_argument for misuse (sizes, an empty graph); everything numerical is reported
+// in the result.
 
 #include <functional>
 #include <optional>
@@ -66,6 +70,12 @@ struct BatchResult {
   bool Converged() const { return termination == Termination::kConverged; }
 };
 
+// From a start that is found by trying, as the command does (StartFor, start_values.h): the file's values, composed
+// odometry, a spanning tree or a chordal relaxation; with a robust kernel composed odometry. Throws
+// std::invalid_argument besides if the graph is not connected and a pose has no value.
+template <class Pose>
+BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const BatchOptions& options = {});
+// From these values, by pose index (initial_values.h makes some).
 template <class Pose>
 BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial,
                              const BatchOptions& options = {});

@@ -155,6 +155,11 @@ class PoseGraph {
   void AddPose(PoseId id, const std::optional<Pose>& T_world_body = std::nullopt);
   // Throws std::invalid_argument if the pose is unknown.
   void SetPose(PoseId id, const Pose& T_world_body);
+  // Gives every pose a value, by pose index, as solvers return them. Throws std::invalid_argument, leaving the graph as
+  // it was, if there is not one finite value per pose.
+  void SetPoses(const std::vector<Pose>& T_world_body);
+  // A copy with these values.
+  PoseGraph WithPoses(const std::vector<Pose>& T_world_body) const;
   void SetFixed(PoseId id, bool fixed);
 
   // Throws std::invalid_argument, leaving the graph as it was, if a pose is unknown, an edge joins a pose to

@@ -59,4 +59,10 @@ double GncStart(double largest_chi2, double width);
 template <class Pose>
 std::vector<FactorId> LoopFactors(const PoseGraph<Pose>& graph);
 
+// A graph with weights, such as those of BatchResult, by position in its factors: the information of relative factors
+// is multiplied by theirs, factors of weight zero are left out. Factors whose weight is not 1 get new ids. No weights:
+// the graph as it is. Throws std::invalid_argument if there is not one weight per factor, or a prior's is not 1.
+template <class Pose>
+PoseGraph<Pose> WithWeights(const PoseGraph<Pose>& graph, const std::vector<double>& weights);
+
 }  // namespace terse

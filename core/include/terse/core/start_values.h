@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "terse/core/batch_solver.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/log.h"
 #include "terse/core/pose_graph.h"
@@ -45,5 +46,11 @@ struct StartOptions {
 // start.
 template <class Pose>
 StartChoice<Pose> ChooseStart(const PoseGraph<Pose>& graph, const StartOptions& options = {});
+
+// Where a batch optimisation with these options starts unless it is told: at the best of all, or at composed values
+// with a robust kernel, since loops that may be wrong bend a relaxation and odometry does not know them. Then, and if
+// the graph is empty, nothing is compared and there are no trials. Throws as ChooseStart and ComputeInitialValues.
+template <class Pose>
+StartChoice<Pose> StartFor(const PoseGraph<Pose>& graph, const BatchOptions& options);
 
 }  // namespace terse

@@ -113,7 +113,9 @@ class StateWriter {
     for (const T& element : list) visit(const_cast<T&>(element));
   }
   // Throws FileError; the file is then as it was before.
-  void Save(const std::string& path);
+  void Save(const std::string& path) &&;
+  // What Save would write.
+  std::string Bytes() &&;
 
  private:
   void PutBytes(const void* bytes, std::size_t count) { bytes_.append(static_cast<const char*>(bytes), count); }
@@ -196,6 +198,8 @@ class StateReader {
  public:
   static constexpr bool kReads = true;
   StateReader(const std::string& path, const std::string& kind);
+  // Of bytes at hand; `name` stands for the path in messages.
+  StateReader(std::string bytes, const std::string& name, const std::string& kind);
 
   template <class... T>
   void operator()(T&... values) {
@@ -322,6 +326,8 @@ class StateReader {
     }
   }
 
+  void Open(const std::string& kind);
+
   std::string path_, bytes_;
   std::size_t at_ = 0, members_end_ = 0;
 };
@@ -331,13 +337,13 @@ template <class T>
 void SaveState(const std::string& path, const std::string& kind, const T& object) {
   StateWriter writer(kind);
   writer(object);
-  writer.Save(path);
+  std::move(writer).Save(path);
 }
 
-// Throws FileError.
+namespace internal {
+
 template <class T>
-T LoadState(const std::string& path, const std::string& kind) {
-  StateReader reader(path, kind);
+T ReadObject(StateReader reader) {
   T object;
   try {
     reader(object);
@@ -346,6 +352,26 @@ T LoadState(const std::string& path, const std::string& kind) {
   }
   reader.Finish();
   return object;
+}
+
+}  // namespace internal
+
+// Throws FileError.
+template <class T>
+T LoadState(const std::string& path, const std::string& kind) {
+  return internal::ReadObject<T>(StateReader(path, kind));
+}
+
+// The same in memory instead of in a file.
+template <class T>
+std::string StateBytes(const std::string& kind, const T& object) {
+  StateWriter writer(kind);
+  writer(object);
+  return std::move(writer).Bytes();
+}
+template <class T>
+T FromStateBytes(std::string bytes, const std::string& name, const std::string& kind) {
+  return internal::ReadObject<T>(StateReader(std::move(bytes), name, kind));
 }
 
 // The kind of an object over SE2 or SE3.

@@ -1,10 +1,14 @@
 #pragma once
 // Covariances of a solved pose graph, at the given values: pose_marginals.h says what can be asked.
+//
+//     const Marginals<SE3> marginals(graph, SolveBatch(graph));
+//     const Matrix<6, 6> covariance = marginals.Marginal(PoseId{7});
 
 #include <memory>
 #include <unordered_map>
 #include <vector>
 
+#include "terse/core/batch_solver.h"
 #include "terse/covariance/pose_marginals.h"
 #include "terse/covariance/selected_inverse.h"
 
@@ -15,6 +19,10 @@ class Marginals final : public PoseMarginals<Pose> {
  public:
   using Jacobian = typename Pose::Jacobian;
 
+  // At the result of an optimisation of this graph, with its factor, robust weights included: nothing is factored
+  // again. Move the result in if it is not needed any more. Throws UnobservableError or NumericalError if its system
+  // was singular.
+  Marginals(const PoseGraph<Pose>& graph, BatchResult<Pose> result);
   // Factors the graph at the values (by pose index). Throws NumericalError if the system is singular.
   Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body);
   // Takes a factor at hand (variable = pose index), as BatchResult holds it; an IncrementalSolver's is linearised at
@@ -24,6 +32,7 @@ class Marginals final : public PoseMarginals<Pose> {
             std::vector<Pose> linearization_points);
 
  private:
+  Marginals(BatchResult<Pose>&& result, const PoseGraph<Pose>& graph);
   int IndexOf(PoseId id) const override;
   Pose ValueAt(int index) const override { return T_world_body_[static_cast<std::size_t>(index)]; }
   Pose PointAt(int index) const override {
