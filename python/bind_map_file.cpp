@@ -7,6 +7,8 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
 #include "terse/compact/map_file.h"
 #include "terse/compact/thresholds_file.h"
 #include "values.h"
@@ -126,6 +128,7 @@ void BindMap(py::module_& module) {
       .def("scaled", &Scaled, py::arg("graph"),
            "A PoseGraph with the information of its relative measurements scaled as that of the map was: what comes "
            "later is to be scaled likewise. Without the GIL.")
+      .def(PickleOf<Map>("pickle CompactMap"))
       .def("__len__", [](const Map& m) { return VisitMap(m, [](const auto& map) { return map.poses.size(); }); })
       .def("__repr__", [](const Map& m) {
         const std::size_t seen = VisitMap(m, [](const auto& map) { return map.poses.size(); });

@@ -2,6 +2,7 @@
 // How pickles store what the library reports. A member that is forgotten does not compile.
 
 #include "terse/compact/compact_graph.h"
+#include "terse/compact/map_file.h"
 #include "terse/compact/state_members.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/graph_file.h"
@@ -150,6 +151,44 @@ template <class Archive>
 void Serialize(Archive& archive, InformationCalibration& calibration) {
   auto& [stated, estimate, verdict, scale, message] = calibration;
   archive(stated, estimate, verdict, scale, message);
+}
+
+template <class Archive, class Pose>
+void Serialize(Archive& archive, CompactMap<Pose>& map) {
+  auto& [poses, edges, priors, fixed, refused, failed] = map;
+  archive.Each(poses, [&archive](auto& seen) {
+    auto& [id, kept, T_world_body, T_world_body_when_seen, previous, base, T_base_pose, next_kept, T_base_next] = seen;
+    archive(id, kept, T_world_body, T_world_body_when_seen, previous, base, T_base_pose, next_kept, T_base_next);
+  });
+  archive.Each(edges, [&archive](auto& edge) {
+    auto& [factor, measured, is_loop, added_at, gain, composed_of] = edge;
+    archive(factor, measured, is_loop, added_at, gain, composed_of);
+  });
+  archive.Each(priors, [&archive](auto& prior) {
+    auto& [factor, measured] = prior;
+    archive(factor, measured);
+  });
+  archive.Each(fixed, [&archive](auto& held) {
+    auto& [pose, T_world_body] = held;
+    archive(pose, T_world_body);
+  });
+  archive.Each(refused, [&archive](auto& link) {
+    auto& [candidate, seen, T_candidate_seen] = link;
+    archive(candidate, seen, T_candidate_seen);
+  });
+  archive.Each(failed, [&archive](auto& pair) {
+    auto& [candidate, seen] = pair;
+    archive(candidate, seen);
+  });
+  if constexpr (Archive::kReads) {
+    const std::string defect = FindDefect(map);
+    if (!defect.empty()) archive.Fail(defect);
+  }
+}
+template <class Archive>
+void Serialize(Archive& archive, CompactMapFile& file) {
+  auto& [map, strategy, information_scale] = file;
+  archive(map, strategy, information_scale);
 }
 
 // Without the Cholesky factor, which is made again when covariances are asked for.

@@ -51,7 +51,7 @@ def made(ellipse):
     replay = terse.GraphReplay(graph)
     return [
         graph, solution, solver, run, motion, decision, decision.candidates[0], evaluation, evaluation.ate, graph_file,
-        graph.edges(), graph.factor(0), graph_in(2, ellipse), ellipse, run.slam, run.trajectory(), growing.update(),
+        graph.edges(), graph.factor(0), graph_in(2, ellipse), ellipse, run.slam, run.slam.export(), run.trajectory(), growing.update(),
         *graph_in(3, ellipse).priors().values(), *graph_in(2, ellipse).priors().values(),
         terse.CompactInput(3, graph.factor(2), loops=[graph.factor(4)], T_world_body=[1, 2, 3]), replay[40],
         terse.CompactOptions(3, min_loop_gain=7, range=[1, 2, 3, 4], strategy="apfl"),
