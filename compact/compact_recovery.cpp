@@ -1,5 +1,5 @@
-// Where dropped poses are in the present map, and how well that is known (S, Eqs. 24-26, and beyond them their
-// covariance).
+// Where dropped poses are in the present map, and how well that is known (Ila et al. 2017 Eqs. 24-26, and beyond them
+// their covariance).
 //
 // With T_base_pose = Exp(l) M, M the composed odometry, the error l of a chain grows by independent steps from pose to
 // pose, l_k = l_{k-1} + a step: Cov(l_j, l_k) = P of the last pose that both chains lead through, P = Ad(M) C Ad(M)'

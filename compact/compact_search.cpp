@@ -14,7 +14,7 @@ constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 }  // namespace
 
-// What the map knows of T_pose_base (S, Eqs. 16-17), of solver indices.
+// What the map knows of T_pose_base (Ila et al. 2017 Eqs. 16-17), of solver indices.
 template <class Pose>
 UncertainPose<Pose> CompactPoseSlam<Pose>::KnownDisplacement(int pose, int base) const {
   if (pose == base) return {};
@@ -44,7 +44,7 @@ UncertainPose<Pose> CompactPoseSlam<Pose>::DisplacementAt(int pose, int base, co
 template <class Pose>
 void CompactPoseSlam<Pose>::UpdateSearch(int base) {
   using Jacobian = typename Pose::Jacobian;
-  if (searched_version_ == solver_->Factor().Version() && searched_base_ == base) return;
+  if (searched_version_ == solver_->Cholesky().Version() && searched_base_ == base) return;
   UpdateCovariances();
   const std::vector<Jacobian>& marginal = marginals_->KeptMarginals();
   const int poses = static_cast<int>(marginal.size());
@@ -64,7 +64,7 @@ void CompactPoseSlam<Pose>::UpdateSearch(int base) {
     items.push_back({solver_->EstimateAt(i).Translation(), Spread::Of<Pose>(displacement.covariance)});
   }
   reach_->Build(std::move(items));
-  searched_version_ = solver_->Factor().Version();
+  searched_version_ = solver_->Cholesky().Version();
   searched_base_ = base;
 }
 
@@ -130,7 +130,7 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
                                                                                        const std::vector<Ask>& asks,
                                                                                        bool plausible) const {
   const int base = solver_->Graph().IndexOf(current.base);
-  const bool is_ready = searched_version_ == solver_->Factor().Version() && searched_base_ == base;
+  const bool is_ready = searched_version_ == solver_->Cholesky().Version() && searched_base_ == base;
   std::vector<Evaluated> out;
   for (const Ask& ask : asks) {
     Evaluated e;

@@ -40,10 +40,10 @@ struct ForwardSolution {
   std::vector<double>& scratch;
   int stride, rows = 0;
 
-  ForwardSolution(const BlockCholesky<B>& factor, const FrontPaths<B>& paths, const std::vector<RightHandSide<B>>& E)
+  ForwardSolution(const BlockCholesky<B>& cholesky, const FrontPaths<B>& paths, const std::vector<RightHandSide<B>>& E)
       : base(At(paths.Size())),
         first(At(paths.Size()), internal::kNoRow),
-        row_of(internal::RowScratch(factor.Variables())),
+        row_of(internal::RowScratch(cholesky.Variables())),
         X(Buffer(0)),
         scratch(Buffer(1)),
         stride(0) {
@@ -90,10 +90,10 @@ std::vector<RightHandSide<B>> Columns(const std::vector<int>& variables) {
 
 // Z' Z with all columns on all paths.
 template <int B>
-MatrixX Gram(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>& E, Eigen::Index size) {
-  FrontPaths<B> paths(factor.Tree());
+MatrixX Gram(const BlockCholesky<B>& cholesky, const std::vector<RightHandSide<B>>& E, Eigen::Index size) {
+  FrontPaths<B> paths(cholesky.Tree());
   for (const auto& e : E) paths.Add(e.variable);
-  const ForwardSolution<B> Z(factor, paths, E);
+  const ForwardSolution<B> Z(cholesky, paths, E);
   const int n = Z.stride;
   MatrixX negative = MatrixX::Zero(n, n);
   internal::Kernels().subtract_product(negative.data(), n, Z.X.data(), Z.X.data(), n, n, n, Z.rows);
@@ -106,11 +106,11 @@ MatrixX Gram(const BlockCholesky<B>& factor, const std::vector<RightHandSide<B>>
 
 // Brings together what starts at path front k and what comes from below. Returns the first row that is not zero.
 template <int B>
-int Meet(const BlockCholesky<B>& factor, const FrontPaths<B>& paths, int k, const std::vector<int>& variables,
+int Meet(const BlockCholesky<B>& cholesky, const FrontPaths<B>& paths, int k, const std::vector<int>& variables,
          std::vector<Passing>& passing) {
   const auto& front = paths[k];
   Passing& here = passing[At(k)];
-  std::vector<int>& row_of = internal::RowScratch(factor.Variables());
+  std::vector<int>& row_of = internal::RowScratch(cholesky.Variables());
   int row = 0, first = front.Columns(), column = 0;
   for (const int v : front.pivots) row_of[At(v)] = std::exchange(row, row + B);
   for (const int v : front.separators) row_of[At(v)] = std::exchange(row, row + B);
@@ -167,12 +167,12 @@ void AddGram(const Passing& here, int first, int rows, std::vector<double>& gram
 }  // namespace
 
 template <int B>
-MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>& rows,
+MatrixX CovarianceBlocks(const BlockCholesky<B>& cholesky, const std::vector<int>& rows,
                          const std::vector<int>& columns) {
-  FrontPaths<B> paths(factor.Tree());
+  FrontPaths<B> paths(cholesky.Tree());
   for (const int v : columns) paths.Add(v);
   for (const int v : rows) paths.Add(v);
-  ForwardSolution<B> solution(factor, paths, Columns<B>(columns));
+  ForwardSolution<B> solution(cholesky, paths, Columns<B>(columns));
   // Backward from the first row that is needed: an asked variable's, or that of a separator below.
   std::vector<int> needed(At(paths.Size()), internal::kNoRow);
   for (const int v : rows) solution.Lower(paths, needed, v);
@@ -196,10 +196,10 @@ MatrixX CovarianceBlocks(const BlockCholesky<B>& factor, const std::vector<int>&
 }
 
 template <int B>
-MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& variables) {
+MatrixX JointCovariance(const BlockCholesky<B>& cholesky, const std::vector<int>& variables) {
   const Eigen::Index size = B * static_cast<Eigen::Index>(variables.size());
-  if (variables.size() <= kFew) return Gram(factor, Columns<B>(variables), size);
-  FrontPaths<B> paths(factor.Tree());
+  if (variables.size() <= kFew) return Gram(cholesky, Columns<B>(variables), size);
+  FrontPaths<B> paths(cholesky.Tree());
   for (const int v : variables) paths.Add(v);
   std::vector<Passing> passing(At(paths.Size()));
   for (size_t q = 0; q < variables.size(); ++q) {
@@ -211,7 +211,7 @@ MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& 
     const auto& front = paths[k];
     Passing& here = passing[At(k)];
     const int ld = front.Rows(), p = front.Columns();
-    const int first = Meet(factor, paths, k, variables, passing);
+    const int first = Meet(cholesky, paths, k, variables, passing);
     internal::Kernels().substitute_forward(front.Entry(first, first), ld, ld - 1 - first, p - first,
                                            here.x.data() + At(first) * At(here.stride), here.stride);
     AddGram<B>(here, first, p - first, gram, joint);
@@ -222,10 +222,10 @@ MatrixX JointCovariance(const BlockCholesky<B>& factor, const std::vector<int>& 
 }
 
 template <int B>
-Matrix<B, B> CombinationCovariance(const BlockCholesky<B>& factor, const std::vector<CovarianceTerm<B>>& terms) {
+Matrix<B, B> CombinationCovariance(const BlockCholesky<B>& cholesky, const std::vector<CovarianceTerm<B>>& terms) {
   std::vector<RightHandSide<B>> E;
   for (const auto& term : terms) E.push_back({term.variable, 0, term.A.transpose()});
-  return Gram(factor, E, B);
+  return Gram(cholesky, E, B);
 }
 
 #define TERSE_INSTANTIATE(B)                                                                                       \

@@ -195,14 +195,14 @@ void ExtendColumn(const Front<B>& front, const FrontScratch& scratch, std::vecto
 }
 
 template <int B>
-void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch,
+void ComputeAllDiagonals(const BlockCholesky<B>& cholesky, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch,
                          const ColumnOfAll* column) {
-  out.resize(At(factor.Variables()));
-  const FrontTree<B>& tree = factor.Tree();
+  out.resize(At(cholesky.Variables()));
+  const FrontTree<B>& tree = cholesky.Tree();
   FrontPaths<B> paths(tree);
   if (column != nullptr) {
     paths.Add(column->variable);
-    SolvePaths(paths, {{column->variable, 0, Matrix<B, B>::Identity()}}, factor.Variables(), *column->X, Stride(B));
+    SolvePaths(paths, {{column->variable, 0, Matrix<B, B>::Identity()}}, cholesky.Variables(), *column->X, Stride(B));
   }
   std::vector<RecursionLevel>& path = scratch.path;
   std::size_t depth = 0;  // levels in use; those below keep their buffers
@@ -226,7 +226,7 @@ void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B
     }
     ++depth;
     if (front.children.empty()) return;
-    SetRows<B>(front, factor.Variables(), scratch.front);
+    SetRows<B>(front, cholesky.Variables(), scratch.front);
     here.rows.resize(front.children.size());
     for (std::size_t k = 0; k < front.children.size(); ++k) {
       SeparatorRows<B>(tree[front.children[k]], scratch.front, here.rows[k]);

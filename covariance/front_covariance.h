@@ -46,9 +46,9 @@ double RecursionFlops(const Front<B>& front) {
 }
 
 template <int B>
-double AllRecursionFlops(const BlockCholesky<B>& factor) {
+double AllRecursionFlops(const BlockCholesky<B>& cholesky) {
   double flops = 0;
-  factor.Tree().ForEach([&](int, const auto& front) { flops += RecursionFlops<B>(front); });
+  cholesky.Tree().ForEach([&](int, const auto& front) { flops += RecursionFlops<B>(front); });
   return flops;
 }
 
@@ -73,7 +73,7 @@ struct ColumnOfAll {
   std::vector<double>* X;
 };
 template <int B>
-void ComputeAllDiagonals(const BlockCholesky<B>& factor, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch,
+void ComputeAllDiagonals(const BlockCholesky<B>& cholesky, std::vector<Matrix<B, B>>& out, RecursionScratch& scratch,
                          const ColumnOfAll* column = nullptr);
 
 }  // namespace terse::internal

@@ -23,8 +23,8 @@ IncrementalMarginals<Pose>::IncrementalMarginals(const IncrementalSolver<Pose>& 
                                                  const CovarianceOptions& options)
     : solver_(&solver),
       options_(options),
-      state_(new State{internal::KeptCovariances<Pose::kDof>(solver.Factor(), options),
-                       SelectedInverse<Pose::kDof>(solver.Factor(), options.cache_bytes)}) {}
+      state_(new State{internal::KeptCovariances<Pose::kDof>(solver.Cholesky(), options),
+                       SelectedInverse<Pose::kDof>(solver.Cholesky(), options.cache_bytes)}) {}
 
 template <class Pose>
 IncrementalMarginals<Pose>::~IncrementalMarginals() = default;
@@ -98,7 +98,7 @@ std::vector<typename Pose::Jacobian> IncrementalMarginals<Pose>::AllDiagonalBloc
 template <class Pose>
 std::vector<typename Pose::Jacobian> IncrementalMarginals<Pose>::ColumnBlocks(int of,
                                                                               const std::vector<int>& indices) const {
-  if (!state_->kept.IsCurrent() || of + 1 != solver_->Factor().Variables()) {
+  if (!state_->kept.IsCurrent() || of + 1 != solver_->Cholesky().Variables()) {
     return PoseMarginals<Pose>::ColumnBlocks(of, indices);
   }
   std::vector<Jacobian> out;

@@ -319,13 +319,13 @@ class Estimator {
       solve.robust.width = std::sqrt(ChiSquareQuantile(kTrueLoop, Pose::kDof));
     }
     const BatchResult<Pose> result = SolveBatch(weighted, values, solve);
-    if (result.factor.Variables() == 0) {
+    if (result.cholesky.Variables() == 0) {
       out_.failure = result.message;
       return false;
     }
     values = result.T_world_body;
     if (is_suspicious_) TakeWeights(result.weights, terms);
-    const auto draws = internal::DrawResiduals(terms, values, result.factor, options_.draws, options_.seed);
+    const auto draws = internal::DrawResiduals(terms, values, result.cholesky, options_.draws, options_.seed);
     ByGroup<Group> groups = Collect(terms, values, draws);
     if (is_first) NormalizedChi2(terms, values);
     // While it is open which loops are wrong, odometry would take them on itself.

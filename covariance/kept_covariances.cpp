@@ -51,9 +51,9 @@ struct TreeCosts {
 };
 
 template <int B>
-TreeCosts CostsOf(const BlockCholesky<B>& factor) {
+TreeCosts CostsOf(const BlockCholesky<B>& cholesky) {
   TreeCosts costs;
-  factor.Tree().ForEach([&](int, const auto& front) {
+  cholesky.Tree().ForEach([&](int, const auto& front) {
     const double p = front.Columns(), rows = front.Rows() - 1;
     costs.recursion += RecursionFlops<B>(front);
     costs.entries += p * (rows - p / 2);
@@ -74,12 +74,12 @@ bool IsInvertible(const Matrix<B, B>& A) {
 template <int B>
 typename KeptCovariances<B>::Plan KeptCovariances<B>::MakePlan(const Changes& changes) const {
   Plan plan;
-  const int old = static_cast<int>(diagonals_.size()), all = factor_->Variables();
+  const int old = static_cast<int>(diagonals_.size()), all = cholesky_->Variables();
   plan.joining.resize(At(all - old));
   std::vector<char> is_joining(changes.size(), 0);
   std::vector<int> joining(plan.joining.size(), -1);
   for (size_t k = 0; k < changes.size(); ++k) {
-    const LinearFactor<B>& f = factor_->FactorAt(changes[k].slot);
+    const LinearFactor<B>& f = cholesky_->LinearFactorAt(changes[k].slot);
     const int newest = std::max(f.first, f.second);
     if (f.first < 0 || f.second < 0 || newest < old) continue;
     int& known = joining[At(newest - old)];
@@ -92,11 +92,11 @@ typename KeptCovariances<B>::Plan KeptCovariances<B>::MakePlan(const Changes& ch
   for (size_t k = 0; k < joining.size(); ++k) {
     if (joining[k] < 0) return plan;
     is_joining[At(joining[k])] = 1;
-    plan.joining[k] = factor_->FactorAt(changes[At(joining[k])].slot);
+    plan.joining[k] = cholesky_->LinearFactorAt(changes[At(joining[k])].slot);
     if (std::min(plan.joining[k].first, plan.joining[k].second) != newest++) plan.solve_column = true;
   }
   for (size_t k = 0; k < changes.size(); ++k) {
-    const LinearFactor<B>& after = factor_->FactorAt(changes[k].slot);
+    const LinearFactor<B>& after = cholesky_->LinearFactorAt(changes[k].slot);
     if (after.first >= 0 && is_joining[k] == 0) plan.changes.push_back({after, 1});
     if (changes[k].before.first >= 0) plan.changes.push_back({changes[k].before, -1});
   }
@@ -156,7 +156,7 @@ MatrixX KeptCovariances<B>::CoreOf(const Plan& plan, const MatrixX& CY) const {
 // False if the numbers do not allow it: then the kept blocks are spoilt.
 template <int B>
 bool KeptCovariances<B>::Downdate(const Plan& plan, CovarianceReport& report) {
-  const int n = factor_->Variables(), last = n - 1;
+  const int n = cholesky_->Variables(), last = n - 1;
   const int k = B * static_cast<int>(plan.changes.size()), columns = k + (plan.solve_column ? B : 0);
   const int stride = Stride(columns);
   std::vector<RightHandSide<B>> E;
@@ -167,7 +167,7 @@ bool KeptCovariances<B>::Downdate(const Plan& plan, CovarianceReport& report) {
     if (f.second >= 0) E.push_back({f.second, column, f.A_second.transpose()});
   }
   if (plan.solve_column) E.push_back({last, k, Matrix<B, B>::Identity()});
-  SolveAll(factor_->Tree(), E, X_, stride);
+  SolveAll(cholesky_->Tree(), E, X_, stride);
   const auto Y = [&](int v) { return RowsOf<B>(X_, v, k, stride); };
   if (plan.solve_column) {
     if (column_.size() < At(n) * B * kStride) column_.resize(At(n) * B * kStride * 2, 0.0);
@@ -218,7 +218,7 @@ bool KeptCovariances<B>::Downdate(const Plan& plan, CovarianceReport& report) {
 // Y; the block of a changed factor's other end; and one that takes its turn.
 template <int B>
 double KeptCovariances<B>::DriftOf(const Plan& plan) const {
-  const int last = factor_->Variables() - 1;
+  const int last = cholesky_->Variables() - 1;
   const int stride = Stride(B * static_cast<int>(plan.changes.size()) + (plan.solve_column ? B : 0));
   double drift = 0;
   const auto compare = [&](const MatrixX& kept, const MatrixX& found, double scale) {
@@ -226,7 +226,7 @@ double KeptCovariances<B>::DriftOf(const Plan& plan) const {
     drift = std::max(drift, difference >= 0 ? difference : std::numeric_limits<double>::infinity());
   };
   const auto compare_block = [&](int v) {
-    const MatrixX fresh = JointCovariance(*factor_, {v});
+    const MatrixX fresh = JointCovariance(*cholesky_, {v});
     compare(diagonals_[At(v)], fresh, fresh.norm());
   };
   for (size_t a = 0; a < plan.changes.size(); ++a) {
@@ -253,9 +253,9 @@ double KeptCovariances<B>::DriftOf(const Plan& plan) const {
 
 template <int B>
 void KeptCovariances<B>::Recursion(CovarianceReport& report) {
-  const int n = factor_->Variables();
+  const int n = cholesky_->Variables();
   const ColumnOfAll column{n - 1, &column_};
-  ComputeAllDiagonals(*factor_, diagonals_, recursion_, &column);
+  ComputeAllDiagonals(*cholesky_, diagonals_, recursion_, &column);
   drift_.assign(At(n), static_cast<float>(kRounding));
   report.path = CovariancePath::kRecursion;
   report.columns = B;
@@ -284,11 +284,11 @@ bool KeptCovariances<B>::Follow(const Plan& plan, CovarianceReport& report) {
 template <int B>
 CovarianceReport KeptCovariances<B>::Update() {
   const auto start = std::chrono::steady_clock::now();
-  if (factor_->Variables() == 0) throw std::invalid_argument("there is no pose yet");
+  if (cholesky_->Variables() == 0) throw std::invalid_argument("there is no pose yet");
   CovarianceReport report;
   if (IsCurrent()) return report;
-  const bool same_factor = identity_ == factor_->Identity() && !diagonals_.empty();
-  const auto changes = same_factor ? factor_->ChangesSince(version_) : std::nullopt;
+  const bool same_factor = identity_ == cholesky_->Identity() && !diagonals_.empty();
+  const auto changes = same_factor ? cholesky_->ChangesSince(version_) : std::nullopt;
   identity_ = 0;  // of no factor, until all is done
   using Method = CovarianceOptions::Method;
   Plan plan;
@@ -298,11 +298,11 @@ CovarianceReport KeptCovariances<B>::Update() {
     plan.possible = false;
   }
   const bool only_appended = plan.possible && plan.changes.empty() && !plan.solve_column;
-  const TreeCosts tree = only_appended ? TreeCosts() : CostsOf(*factor_);
+  const TreeCosts tree = only_appended ? TreeCosts() : CostsOf(*cholesky_);
   report.recursion_cost = tree.recursion;
   bool done = false;
   if (plan.possible) {
-    const double n = factor_->Variables(), k = B * static_cast<double>(plan.changes.size());
+    const double n = cholesky_->Variables(), k = B * static_cast<double>(plan.changes.size());
     report.columns = static_cast<int>(k) + (plan.solve_column ? B : 0);
     const double substitution = 2 * tree.entries * report.columns;
     const double blocks = 2 * n * B * k * (k + 2 * B) + (plan.solve_column ? 0 : 2 * n * B * B * B);
@@ -317,8 +317,8 @@ CovarianceReport KeptCovariances<B>::Update() {
     report.flops += tree.recursion;
     Recursion(report);
   }
-  identity_ = factor_->Identity();
-  version_ = factor_->Version();
+  identity_ = cholesky_->Identity();
+  version_ = cholesky_->Version();
   report.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return report;
 }

@@ -1,12 +1,12 @@
 #pragma once
 // All diagonal blocks of H^-1 and the block column of the last variable, kept up to date as the factor changes
-// (Ila et al., IJRR 2017, section 3.4).
+// (Ila et al. 2017 section 3.4).
 //
 // Appended variable n behind j, A_j d_j + A_n d_n = 0 on average with unit covariance: Sigma_.n = -Sigma_.j (A_n^-1
 // A_j)', no older block changes. Changed factors: with the rows C of what came (S = 1) and went (S = -1) and
 // Y = Sigma_new C' from the new factor,
 //   Sigma_new = Sigma_old - Y (S - C Y)^-1 Y',
-// which is Eq. 14 written with the new covariance. Else the recursion.
+// which is Ila et al. 2017 Eq. 14 written with the new covariance. Else the recursion.
 //
 // The choice is made by flops times what a flop was measured to take, so that a run is repeatable.
 
@@ -22,11 +22,11 @@ namespace terse::internal {
 template <int B>
 class KeptCovariances {
  public:
-  KeptCovariances(const BlockCholesky<B>& factor, const CovarianceOptions& options)
-      : factor_(&factor), options_(options) {}
+  KeptCovariances(const BlockCholesky<B>& cholesky, const CovarianceOptions& options)
+      : cholesky_(&cholesky), options_(options) {}
 
   CovarianceReport Update();
-  bool IsCurrent() const { return version_ == factor_->Version() && identity_ == factor_->Identity(); }
+  bool IsCurrent() const { return version_ == cholesky_->Version() && identity_ == cholesky_->Identity(); }
 
   const std::vector<Matrix<B, B>>& Diagonals() const { return diagonals_; }
   // Sigma(variable, last).
@@ -39,14 +39,14 @@ class KeptCovariances {
     bool current = IsCurrent();
     archive(diagonals_, column_, drift_, downdates_, pause_, next_pause_, appended_, current);
     if constexpr (Archive::kReads) {
-      const std::size_t variables = static_cast<std::size_t>(factor_->Variables());
+      const std::size_t variables = static_cast<std::size_t>(cholesky_->Variables());
       // The column has room to grow.
       if (drift_.size() != diagonals_.size() || column_.size() < diagonals_.size() * B * kStride ||
           (current && diagonals_.size() != variables)) {
         archive.Fail("kept covariances of another map");
       }
-      version_ = current ? factor_->Version() : 0;
-      identity_ = current ? factor_->Identity() : 0;
+      version_ = current ? cholesky_->Version() : 0;
+      identity_ = current ? cholesky_->Identity() : 0;
     }
   }
 
@@ -72,7 +72,7 @@ class KeptCovariances {
   MatrixX CoreOf(const Plan& plan, const MatrixX& CY) const;
   double DriftOf(const Plan& plan) const;
 
-  const BlockCholesky<B>* factor_;
+  const BlockCholesky<B>* cholesky_;
   CovarianceOptions options_;
   std::uint64_t version_ = 0, identity_ = 0;
   std::vector<Matrix<B, B>> diagonals_;

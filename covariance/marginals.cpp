@@ -25,25 +25,26 @@ Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, BatchResult<Pose> resul
 
 template <class Pose>
 Marginals<Pose>::Marginals(BatchResult<Pose>&& result, const PoseGraph<Pose>& graph)
-    : Marginals(graph, std::move(result.T_world_body), std::move(result.factor)) {}
+    : Marginals(graph, std::move(result.T_world_body), std::move(result.cholesky)) {}
 
 template <class Pose>
 Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body)
-    : Marginals(graph, T_world_body, FactorAt(graph, T_world_body)) {}
+    : Marginals(graph, T_world_body, CholeskyAt(graph, T_world_body)) {}
 
 template <class Pose>
 Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body,
-                           BlockCholesky<Pose::kDof> factor)
-    : Marginals(graph, std::move(T_world_body), std::move(factor), {}) {}
+                           BlockCholesky<Pose::kDof> cholesky)
+    : Marginals(graph, std::move(T_world_body), std::move(cholesky), {}) {}
 
 template <class Pose>
 Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body,
-                           BlockCholesky<Pose::kDof> factor, std::vector<Pose> linearization_points)
+                           BlockCholesky<Pose::kDof> cholesky, std::vector<Pose> linearization_points)
     : T_world_body_(std::move(T_world_body)),
       points_(std::move(linearization_points)),
-      factor_(std::make_unique<BlockCholesky<Pose::kDof>>(std::move(factor))),
-      inverse_(*factor_) {
-  if (T_world_body_.size() != graph.Poses().size() || factor_->Variables() != static_cast<int>(T_world_body_.size()) ||
+      cholesky_(std::make_unique<BlockCholesky<Pose::kDof>>(std::move(cholesky))),
+      inverse_(*cholesky_) {
+  if (T_world_body_.size() != graph.Poses().size() ||
+      cholesky_->Variables() != static_cast<int>(T_world_body_.size()) ||
       (!points_.empty() && points_.size() != T_world_body_.size())) {
     throw std::invalid_argument("the graph, its values and the factor differ in size");
   }

@@ -63,7 +63,7 @@ std::vector<typename Pose::Jacobian> PoseMarginals<Pose>::Column(PoseId of, cons
 
 template <class Pose>
 std::vector<typename Pose::Jacobian> PoseMarginals<Pose>::ColumnBlocks(int of, const std::vector<int>& indices) const {
-  const MatrixX blocks = CovarianceBlocks(FactorOfAll(), indices, {of});
+  const MatrixX blocks = CovarianceBlocks(CholeskyOfAll(), indices, {of});
   std::vector<Jacobian> out(indices.size());
   for (size_t k = 0; k < out.size(); ++k) out[k] = blocks.middleRows<B>(static_cast<Eigen::Index>(k) * B);
   return out;
@@ -72,7 +72,7 @@ std::vector<typename Pose::Jacobian> PoseMarginals<Pose>::ColumnBlocks(int of, c
 template <class Pose>
 MatrixX PoseMarginals<Pose>::Joint(const std::vector<PoseId>& ids, const CovarianceConvention& convention) const {
   const std::vector<int> indices = IndicesOf(ids);
-  MatrixX joint = JointCovariance(FactorOfAll(), indices);
+  MatrixX joint = JointCovariance(CholeskyOfAll(), indices);
   if (convention.IsNative()) return joint;
   for (size_t r = 0; r < ids.size(); ++r) {
     for (size_t c = 0; c < ids.size(); ++c) {
@@ -91,7 +91,7 @@ typename Pose::Jacobian PoseMarginals<Pose>::Relative(PoseId a, PoseId b,
   // d_ab = d_b - Ad(T_a_b^-1) d_a, in which what moves both poses together cancels where H is linearised only.
   const Pose T_a_b_point = PointAt(i).Inverse() * PointAt(j), T_a_b = ValueAt(i).Inverse() * ValueAt(j);
   const Jacobian A = T_a_b_point.Inverse().Adjoint();
-  const Jacobian at_point = CombinationCovariance<B>(FactorOfAll(), {{i, -A}, {j, Jacobian::Identity()}});
+  const Jacobian at_point = CombinationCovariance<B>(CholeskyOfAll(), {{i, -A}, {j, Jacobian::Identity()}});
   const Jacobian covariance = MoveCovariance<Pose>(at_point, T_a_b_point, T_a_b);
   return ConvertCovariance<Pose>(covariance, T_a_b, convention);
 }
@@ -100,7 +100,7 @@ template <class Pose>
 typename Pose::Jacobian PoseMarginals<Pose>::Combination(const std::vector<Term>& terms) const {
   std::vector<CovarianceTerm<B>> sum;
   for (const Term& term : terms) sum.push_back({IndexOf(term.id), term.A});
-  return CombinationCovariance<B>(FactorOfAll(), sum);
+  return CombinationCovariance<B>(CholeskyOfAll(), sum);
 }
 
 template <class Pose>

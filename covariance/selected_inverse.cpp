@@ -31,7 +31,7 @@ template <int B>
 const typename SelectedInverse<B>::Known& SelectedInverse<B>::Look(int front, Query& query) const {
   std::vector<int> path;
   Known above;
-  factor_->Tree().Climb(front, [&](int f) {
+  cholesky_->Tree().Climb(front, [&](int f) {
     const auto known = query.known.find(f);
     if (known == query.known.end()) {
       path.push_back(f);
@@ -41,7 +41,7 @@ const typename SelectedInverse<B>::Known& SelectedInverse<B>::Look(int front, Qu
     return false;
   });
   for (auto it = path.rbegin(); it != path.rend(); ++it) {
-    const auto& at = factor_->Tree()[*it];
+    const auto& at = cholesky_->Tree()[*it];
     const auto cached = cache_.find(*it);
     above.stamp = std::max(above.stamp, at.stamp);
     above.solve_flops += SolveFlops<B>(at);
@@ -57,7 +57,7 @@ template <int B>
 typename SelectedInverse<B>::BlockPointer SelectedInverse<B>::Front(int id, Query& query) const {
   std::vector<int> path;
   BlockPointer block;
-  factor_->Tree().Climb(id, [&](int f) {
+  cholesky_->Tree().Climb(id, [&](int f) {
     const auto cached = cache_.find(f);
     if (cached != cache_.end() && cached->second->stamp >= Look(f, query).stamp) {
       block = cached->second;
@@ -69,10 +69,10 @@ typename SelectedInverse<B>::BlockPointer SelectedInverse<B>::Front(int id, Quer
   });
   std::vector<int> rows;
   for (auto it = path.rbegin(); it != path.rend(); ++it) {
-    const auto& front = factor_->Tree()[*it];
+    const auto& front = cholesky_->Tree()[*it];
     const BlockPointer parent = block;
     if (parent) {
-      internal::SetRows<B>(factor_->Tree()[front.parent], factor_->Variables(), scratch_->front);
+      internal::SetRows<B>(cholesky_->Tree()[front.parent], cholesky_->Variables(), scratch_->front);
       internal::SeparatorRows<B>(front, scratch_->front, rows);
     }
     block = std::make_shared<Block>();
@@ -80,7 +80,7 @@ typename SelectedInverse<B>::BlockPointer SelectedInverse<B>::Front(int id, Quer
     block->covariance.resize(At(block->n) * At(block->n));
     internal::ComputeFrontCovariance<B>(front, parent ? parent->covariance.data() : nullptr, parent ? parent->n : 0,
                                         rows, false, block->covariance.data(), scratch_->front);
-    block->stamp = factor_->Version();
+    block->stamp = cholesky_->Version();
     block->used = queries_;
     BlockPointer& kept = cache_[*it];
     if (kept) bytes_ -= kept->covariance.size() * sizeof(double);
@@ -110,7 +110,7 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
                                                         DiagonalMethod method) const {
   const std::lock_guard<std::mutex> lock(mutex_);
   ++queries_;
-  if (std::exchange(identity_, factor_->Identity()) != factor_->Identity()) {
+  if (std::exchange(identity_, cholesky_->Identity()) != cholesky_->Identity()) {
     cache_.clear();
     bytes_ = 0;
   }
@@ -120,13 +120,13 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
   Query query;
   if (method == DiagonalMethod::kCheapest && (variables.size() > 1 || !cache_.empty())) {
     double solve = 0;
-    for (const int v : variables) solve += kSolveFlop * Look(factor_->Tree().FrontOf(v), query).solve_flops;
+    for (const int v : variables) solve += kSolveFlop * Look(cholesky_->Tree().FrontOf(v), query).solve_flops;
     if (variables.size() > kMany) {
       // One pass over everything beats the same paths again and again.
-      const double all = internal::AllRecursionFlops(*factor_);
+      const double all = internal::AllRecursionFlops(*cholesky_);
       if (all < solve && all < 2 * query.recursion_flops) {
         std::vector<Matrix<B, B>> diagonals;
-        internal::ComputeAllDiagonals(*factor_, diagonals, *scratch_);
+        internal::ComputeAllDiagonals(*cholesky_, diagonals, *scratch_);
         for (const int v : variables) out.push_back(diagonals[At(v)]);
         return out;
       }
@@ -135,12 +135,12 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::Diagonals(const std::vector<int>& 
   }
   for (const int v : variables) {
     if (method != DiagonalMethod::kRecursion) {
-      out.push_back(JointCovariance(*factor_, {v}));
+      out.push_back(JointCovariance(*cholesky_, {v}));
       continue;
     }
-    const int id = factor_->Tree().FrontOf(v);
+    const int id = cholesky_->Tree().FrontOf(v);
     const BlockPointer block = Front(id, query);
-    const Eigen::Index at = PivotRow<B>(factor_->Tree()[id], v);
+    const Eigen::Index at = PivotRow<B>(cholesky_->Tree()[id], v);
     out.push_back(Eigen::Map<const MatrixX>(block->covariance.data(), block->n, block->n).template block<B, B>(at, at));
     Evict();
   }
@@ -157,15 +157,15 @@ std::vector<Matrix<B, B>> SelectedInverse<B>::AllDiagonals() const {
   }
   if (!scratch) scratch = std::make_unique<internal::RecursionScratch>();
   std::vector<Matrix<B, B>> out;
-  internal::ComputeAllDiagonals(*factor_, out, *scratch);
+  internal::ComputeAllDiagonals(*cholesky_, out, *scratch);
   const std::lock_guard<std::mutex> lock(mutex_);
   scratch.swap(scratch_);
   return out;
 }
 
 template <int B>
-SelectedInverse<B>::SelectedInverse(const BlockCholesky<B>& factor, std::size_t cache_bytes)
-    : factor_(&factor), capacity_(cache_bytes) {}
+SelectedInverse<B>::SelectedInverse(const BlockCholesky<B>& cholesky, std::size_t cache_bytes)
+    : cholesky_(&cholesky), capacity_(cache_bytes) {}
 
 template <int B>
 SelectedInverse<B>::~SelectedInverse() = default;

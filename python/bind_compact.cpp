@@ -152,8 +152,8 @@ Marginals MarginalsOf(const Slam& slam) {
     auto graph = std::make_shared<const AnyPoseGraph>(held.Solver().Graph());
     const py::gil_scoped_release release;
     auto queries = std::make_shared<const terse::Marginals<Pose>>(
-        std::get<PoseGraph<Pose>>(*graph), held.Solver().Estimates(), BlockCholesky<Pose::kDof>(held.Solver().Factor()),
-        held.Solver().LinearizationPoints());
+        std::get<PoseGraph<Pose>>(*graph), held.Solver().Estimates(),
+        BlockCholesky<Pose::kDof>(held.Solver().Cholesky()), held.Solver().LinearizationPoints());
     return {std::move(queries), std::move(graph)};
   });
 }

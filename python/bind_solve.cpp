@@ -63,8 +63,8 @@ std::shared_ptr<Marginals> MarginalsOf(Solution& solution) {
         std::shared_ptr<const Queries> queries;
         if (result->termination == Termination::kNotPositiveDefinite) {
           queries = std::make_shared<const Queries>(g, *result);  // which says what is free
-        } else if (result->factor.Variables() == static_cast<int>(g.Poses().size())) {
-          queries = std::make_shared<const Queries>(g, result->T_world_body, std::move(result->factor));
+        } else if (result->cholesky.Variables() == static_cast<int>(g.Poses().size())) {
+          queries = std::make_shared<const Queries>(g, result->T_world_body, std::move(result->cholesky));
         } else {  // pickles leave it out
           queries = std::make_shared<const Queries>(WithWeights(g, result->weights), result->T_world_body);
         }

@@ -43,8 +43,8 @@ TERSE_WORDS(DecreaseScale, "decrease_scale", {"absolute", DecreaseScale::kAbsolu
 TERSE_WORDS(Policy, "policy", {"default", Policy::kDefault}, {"gn1", Policy::kGn1}, {"gni", Policy::kGni},
             {"gni-lcg", Policy::kGniLcg}, {"gni-igg", Policy::kGniIgg}, {"gni-spo", Policy::kGniSpo},
             {"gni-spo-lcg", Policy::kGniSpoLcg}, {"gni-spo-igg", Policy::kGniSpoIgg});
-TERSE_WORDS(FactorPath, "path", {"none", FactorPath::kNone}, {"appended", FactorPath::kAppended},
-            {"rank_update", FactorPath::kRankUpdate}, {"refactored", FactorPath::kRefactored});
+TERSE_WORDS(CholeskyPath, "path", {"none", CholeskyPath::kNone}, {"appended", CholeskyPath::kAppended},
+            {"rank_update", CholeskyPath::kRankUpdate}, {"refactored", CholeskyPath::kRefactored});
 TERSE_WORDS(ArrivalUnit, "every", {"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge});
 TERSE_WORDS(CovarianceFrame, "frame", {"body", CovarianceFrame::kBody}, {"world", CovarianceFrame::kWorld},
             {"world_axes", CovarianceFrame::kWorldAxes});

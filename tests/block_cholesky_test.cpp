@@ -93,7 +93,7 @@ TEST(BlockCholesky, BatchAndRefactorEqualDense) {
       f = RandomFactor<3>(rng, f.first, f.second);
       values.push_back(f);
     }
-    factor.SetFactors(values);
+    factor.SetLinearFactors(values);
     ASSERT_TRUE(factor.Refactor());
     ExpectEqualsDense(factor, mirror);
 

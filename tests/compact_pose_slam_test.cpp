@@ -296,7 +296,7 @@ struct State {
         links(slam.LinksKept()),
         poses(slam.Solver().Graph().Poses().size()),
         factors(slam.Solver().Graph().Factors().size()),
-        variables(slam.Solver().Factor().Variables()),
+        variables(slam.Solver().Cholesky().Variables()),
         trajectory(slam.Trajectory().size()),
         log_determinant(slam.Solver().LogDeterminant()) {}
   bool operator==(const State& o) const {

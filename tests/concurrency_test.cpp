@@ -94,7 +94,7 @@ TEST(Concurrency, OneSolverAskedByMany) {
   InThreads([&](int) {
     ExpectSame(solver.Estimates(), estimates);
     EXPECT_EQ(solver.Chi2(), chi2);
-    EXPECT_EQ(solver.Factor().System().Gradient().size(), 3 * estimates.size());
+    EXPECT_EQ(solver.Cholesky().System().Gradient().size(), 3 * estimates.size());
   });
 }
 

@@ -35,10 +35,10 @@ template <class Pose>
 InverseErrors CompareWithCholmod(const IncrementalSolver<Pose>& solver, const IncrementalMarginals<Pose>& marginals,
                                  int count) {
   constexpr int B = Pose::kDof;
-  bench::CholmodMatrix<Pose> matrix(solver.Factor());
+  bench::CholmodMatrix<Pose> matrix(solver.Cholesky());
   matrix.Analyze();
   matrix.Factorize();
-  const std::vector<int> chosen = EvenlySpread(solver.Factor().Variables(), count);
+  const std::vector<int> chosen = EvenlySpread(solver.Cholesky().Variables(), count);
   const MatrixX plain = matrix.InverseColumns(chosen, 0), refined = matrix.InverseColumns(chosen, 2);
   const auto block = [](const MatrixX& inverse, std::size_t row, std::size_t column) {
     return inverse.block<B, B>(B * static_cast<Eigen::Index>(row), B * static_cast<Eigen::Index>(column));

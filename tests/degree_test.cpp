@@ -28,8 +28,8 @@ RelativePoseFactor<SE2> Edge(int from, int to, double x, double y) {
 template <int B>
 std::vector<double> DiagonalFromScratch(BlockCholesky<B> factor) {
   std::vector<LinearFactor<B>> all;
-  for (int slot = 0; slot < factor.Slots(); ++slot) all.push_back(factor.FactorAt(slot));
-  factor.SetFactors(all);
+  for (int slot = 0; slot < factor.Slots(); ++slot) all.push_back(factor.LinearFactorAt(slot));
+  factor.SetLinearFactors(all);
   return factor.System().Diagonal();
 }
 
@@ -37,7 +37,7 @@ template <int B>
 std::vector<double> PlainSum(const BlockCholesky<B>& factor) {
   std::vector<double> sum(static_cast<std::size_t>(factor.Variables() * B), 0.0);
   for (int slot = 0; slot < factor.Slots(); ++slot) {
-    const LinearFactor<B>& f = factor.FactorAt(slot);
+    const LinearFactor<B>& f = factor.LinearFactorAt(slot);
     for (int c = 0; c < B; ++c) {
       if (f.first >= 0) sum[static_cast<std::size_t>(f.first * B + c)] += f.A_first.col(c).squaredNorm();
       if (f.first >= 0 && f.second >= 0) {
@@ -75,7 +75,7 @@ TEST(Degree, DiagonalOfAHubHasNoHistory) {
     for (int k = 0; k < (grows ? 20 : 90) && !slots.empty(); ++k) {
       const std::size_t at = rng() % slots.size();
       if (!taken.insert(at).second) continue;
-      const LinearFactor<B>& old = factor.FactorAt(slots[at]);
+      const LinearFactor<B>& old = factor.LinearFactorAt(slots[at]);
       if (!grows || k % 2 == 0) {
         changes.removed.push_back(slots[at]);
       } else {
@@ -118,7 +118,7 @@ TEST(Degree, PartsBesideAHubEqualTheWhole) {
     changes = {};
     const int v = 1 + static_cast<int>(rng() % kLeaves);
     for (const int slot : factor.SlotsOf(v)) {
-      const LinearFactor<B>& old = factor.FactorAt(slot);
+      const LinearFactor<B>& old = factor.LinearFactorAt(slot);
       changes.replaced.emplace_back(slot, RandomFactor<B>(rng, old.first, old.second));
     }
     changes.added.push_back(RandomFactor<B>(rng, 0, v));
@@ -126,7 +126,7 @@ TEST(Degree, PartsBesideAHubEqualTheWhole) {
     factor.Solve();
     typename BlockCholesky<B>::Changes all;
     all.new_variables = factor.Variables();
-    for (int slot = 0; slot < factor.Slots(); ++slot) all.added.push_back(factor.FactorAt(slot));
+    for (int slot = 0; slot < factor.Slots(); ++slot) all.added.push_back(factor.LinearFactorAt(slot));
     BlockCholesky<B> whole;
     ASSERT_TRUE(whole.Update(all).ok);
     whole.Solve();

@@ -75,7 +75,7 @@ TEST(GnssEllipseTest, RelativeCovariancesAgreeWithTheBatchOptimums) {
     const IncrementalSolver<SE3> solver = Grown(graph);
     const auto batch = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kCompose));
     ASSERT_TRUE(batch.Converged()) << batch.message;
-    const Marginals<SE3> optimum(graph, batch.T_world_body, FactorAt(graph, batch.T_world_body));
+    const Marginals<SE3> optimum(graph, batch.T_world_body, CholeskyAt(graph, batch.T_world_body));
     const IncrementalMarginals<SE3> grown(solver);
     const double worst = WorstRelative(grown, optimum, graph);
     // What the offsets leave of the linearisation, with a fix as without; 1 % of a standard deviation.
@@ -237,7 +237,7 @@ TYPED_TEST(GnssTest, PriorsAtAnyTime) {
     for (const auto& prior : measured(kind)) full.AddFactor(prior);
     const auto batch = SolveBatch(full, ComputeInitialValues(full, InitialValues::kCompose));
     ASSERT_TRUE(batch.Converged()) << batch.message;
-    const Marginals<Pose> optimum(full, batch.T_world_body, FactorAt(full, batch.T_world_body));
+    const Marginals<Pose> optimum(full, batch.T_world_body, CholeskyAt(full, batch.T_world_body));
     for (const auto carry : {Carry::kOffset, Carry::kPoint}) {
       for (const bool late : {false, true}) {
         SCOPED_TRACE(std::string(late ? "late" : "with the pose") + (carry == Carry::kPoint ? ", points" : ""));

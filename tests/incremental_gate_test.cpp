@@ -156,7 +156,7 @@ TYPED_TEST(IncrementalGateTest, ClosedGatePlacesNewPosesOnly) {
     for (std::size_t i = 0; i < before.size(); ++i) ASSERT_EQ(before[i].Translation(), after[i].Translation());
     // The new pose is at the minimum of its factors, linearised: no step of its own lowers the linear cost.
     const auto dense = testing::MakeDenseSystem(solver.Graph(), solver.LinearizationPoints(), &solver.CurrentGauge());
-    const Eigen::VectorXd gradient = dense.H * Solution(solver.Factor().Solution(), dense.b.size()) - dense.b;
+    const Eigen::VectorXd gradient = dense.H * Solution(solver.Cholesky().Solution(), dense.b.size()) - dense.b;
     EXPECT_LT(gradient.tail<TypeParam::kDof>().norm(), 1e-8 * (1 + dense.b.norm()));
   }
 }
@@ -227,7 +227,7 @@ TYPED_TEST(IncrementalGateTest, NewtonDecrementIsTheDenseLinearDecrease) {
       for (auto& update : run.updates) {
         run.MaybeRemove(solver.Graph(), update);
         const auto points = solver.LinearizationPoints();
-        const auto d_before = solver.Factor().Solution();
+        const auto d_before = solver.Cholesky().Solution();
         const Gauge<TypeParam> gauge = solver.CurrentGauge();
         const auto report = solver.Update(update);
         if (TookTheFrame(gauge, solver)) continue;
@@ -261,26 +261,26 @@ TYPED_TEST(IncrementalGateTest, ReportsAreConsistent) {
   IncrementalOptions options;
   options.report_cost = true;
   IncrementalSolver<TypeParam> solver(options);
-  std::map<FactorPath, int> paths;
+  std::map<CholeskyPath, int> paths;
   for (std::size_t k = 0; k < run.updates.size() + 5; ++k) {
     GraphUpdate<TypeParam> update;
     if (k < run.updates.size()) update = run.updates[k];
     run.MaybeRemove(solver.Graph(), update);
-    const int before = solver.Factor().Variables();
+    const int before = solver.Cholesky().Variables();
     const auto report = solver.Update(update);
     ++paths[report.path];
     ASSERT_EQ(report.factor_ids.size(), update.factors.size());
     for (std::size_t f = 0; f < update.factors.size(); ++f) {
       ASSERT_NE(solver.Graph().FindFactor(report.factor_ids[f]), nullptr);
     }
-    EXPECT_EQ(report.path == FactorPath::kNone, k > 0 && update.factors.empty() && update.removed.empty());
-    if (report.path == FactorPath::kRankUpdate) {
+    EXPECT_EQ(report.path == CholeskyPath::kNone, k > 0 && update.factors.empty() && update.removed.empty());
+    if (report.path == CholeskyPath::kRankUpdate) {
       EXPECT_GT(report.fronts_updated, 0);
     }
-    if (report.path != FactorPath::kRankUpdate) {
+    if (report.path != CholeskyPath::kRankUpdate) {
       EXPECT_EQ(report.fronts_updated, 0);
     }
-    if (report.path == FactorPath::kAppended || report.path == FactorPath::kRefactored) {
+    if (report.path == CholeskyPath::kAppended || report.path == CholeskyPath::kRefactored) {
       EXPECT_GT(report.fronts_refactored, 0);
       EXPECT_GE(report.variables_refactored, report.fronts_refactored);
       EXPECT_GT(report.flops, 0);
@@ -297,11 +297,11 @@ TYPED_TEST(IncrementalGateTest, ReportsAreConsistent) {
     EXPECT_EQ(report.deferred_fronts, 0);
     EXPECT_EQ(report.deferred_relinearisations, 0);
     EXPECT_GT(report.seconds, 0);
-    EXPECT_EQ(solver.Factor().Variables(), before + static_cast<int>(update.poses.size()));
+    EXPECT_EQ(solver.Cholesky().Variables(), before + static_cast<int>(update.poses.size()));
   }
-  EXPECT_GT(paths[FactorPath::kAppended], 0);
-  EXPECT_GT(paths[FactorPath::kRankUpdate], 0);
-  EXPECT_GT(paths[FactorPath::kRefactored], 0);
+  EXPECT_GT(paths[CholeskyPath::kAppended], 0);
+  EXPECT_GT(paths[CholeskyPath::kRankUpdate], 0);
+  EXPECT_GT(paths[CholeskyPath::kRefactored], 0);
 }
 
 // chi2 with the step's factors before anything moves, minus that after it.

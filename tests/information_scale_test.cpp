@@ -223,7 +223,7 @@ TEST(InformationScale, DrawsHaveTheVariancesOfResiduals) {
   H.topLeftCorner<3, 3>() += 1e8 * Matrix<3, 3>::Identity();  // the anchor
   const MatrixX variance = MatrixX::Identity(m, m) - J * H.inverse() * J.transpose();
   const int draws = 4000;
-  const auto drawn = internal::DrawResiduals(terms, result.T_world_body, result.factor, draws, 3);
+  const auto drawn = internal::DrawResiduals(terms, result.T_world_body, result.cholesky, draws, 3);
   for (std::size_t k = 0; k < terms.size(); ++k) {
     const Matrix<3, 3> W = SquareRootInformation(Factor<SE2>(terms[k].factor));
     const long row = 3 * static_cast<long>(k);

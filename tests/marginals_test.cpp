@@ -138,7 +138,7 @@ TYPED_TEST(MarginalsTest, SelectedInverseFollowsAnIncrementalFactor) {
   Random rng(29);
   const auto random = testing::MakeRandomGraph<TypeParam>(rng, {20, 0.8, 0.02});
   IncrementalSolver<TypeParam> solver;
-  const SelectedInverse<B> inverse(solver.Factor());
+  const SelectedInverse<B> inverse(solver.Cholesky());
   std::vector<GraphUpdate<TypeParam>> updates(20);
   for (int k = 0; k < 20; ++k)
     updates[static_cast<std::size_t>(k)].poses.push_back({random.graph.Poses()[static_cast<std::size_t>(k)].id});
@@ -150,7 +150,7 @@ TYPED_TEST(MarginalsTest, SelectedInverseFollowsAnIncrementalFactor) {
   for (const auto& update : updates) {
     solver.Update(update);
     const Eigen::MatrixXd Sigma = DenseCovariance(solver.Graph(), solver.LinearizationPoints());
-    for (int v = 1; v < solver.Factor().Variables(); ++v) {
+    for (int v = 1; v < solver.Cholesky().Variables(); ++v) {
       ASSERT_LT(RelativeError(inverse.Diagonal(v), Sigma.block<B, B>(v * B, v * B)), 1e-9);
     }
   }
@@ -164,13 +164,15 @@ TYPED_TEST(MarginalsTest, OfAResult) {
   const auto solved = SolveBatch(graph);
   ASSERT_TRUE(solved.Converged());
   const Marginals<TypeParam> marginals(graph, solved);
-  const auto by_hand = Marginals<TypeParam>(graph, solved.T_world_body, solved.factor).AllMarginals();
+  const auto by_hand = Marginals<TypeParam>(graph, solved.T_world_body, solved.cholesky).AllMarginals();
   const auto all = marginals.AllMarginals();
   const Eigen::MatrixXd Sigma = DenseCovariance(graph, solved.T_world_body);
   for (std::size_t k = 0; k < all.size(); ++k) {
     EXPECT_EQ(all[k], by_hand[k]);
     const auto at = static_cast<Eigen::Index>(k) * B;
-    if (k > 0) EXPECT_LT(RelativeError(all[k], Sigma.block<B, B>(at, at)), 1e-7);
+    if (k > 0) {
+      EXPECT_LT(RelativeError(all[k], Sigma.block<B, B>(at, at)), 1e-7);
+    }
   }
 
   const auto ids = graph.Poses();

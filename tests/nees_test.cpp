@@ -100,7 +100,7 @@ TYPED_TEST(NeesTest, BatchOptimum) {
       const auto run = testing::Simulate<TypeParam>(seed, options);
       const auto result = SolveBatch(run.graph, run.initial);
       ASSERT_TRUE(result.Converged()) << result.message;
-      const Marginals<TypeParam> marginals(run.graph, result.T_world_body, result.factor);
+      const Marginals<TypeParam> marginals(run.graph, result.T_world_body, result.cholesky);
       const auto estimate_of = [&](int k) { return result.T_world_body[static_cast<std::size_t>(k)]; };
       AddAll<TypeParam>(run, marginals, estimate_of, sums);
     }
@@ -146,7 +146,7 @@ TYPED_TEST(NeesTest, NoticesOverstatedInformation) {
       graph.AddFactor(f);
     }
     const auto result = SolveBatch(graph, run.initial);
-    const Marginals<TypeParam> marginals(graph, result.T_world_body, result.factor);
+    const Marginals<TypeParam> marginals(graph, result.T_world_body, result.cholesky);
     Eigen::VectorXd e(B * 40);
     std::vector<PoseId> ids;
     for (int k = 1; k <= 40; ++k) {

@@ -69,14 +69,14 @@ PositionPriorFactor<Pose> PositionPrior(const Built<Pose>& built, std::int64_t i
 template <class Pose>
 std::vector<FreeMotion> FreeMotionsOf(const Built<Pose>& built, std::string* message = nullptr) {
   try {
-    FactorAt(built.graph, built.values);
+    CholeskyAt(built.graph, built.values);
   } catch (const UnobservableError& error) {
     if (message != nullptr) *message = error.what();
     const auto result = SolveBatch(built.graph, built.values);
     EXPECT_EQ(result.termination, Termination::kNotPositiveDefinite);
     EXPECT_EQ(result.message, error.what());
     EXPECT_EQ(result.free_motions.size(), error.motions().size());
-    EXPECT_EQ(result.factor.Variables(), 0);
+    EXPECT_EQ(result.cholesky.Variables(), 0);
     return error.motions();
   }
   ADD_FAILURE() << "the graph is not singular";
@@ -152,7 +152,7 @@ TYPED_TEST(ObservabilityTest, PositionPriorsLeaveTurns) {
   // A second point leaves the turn about the line between them, which a plane does not have.
   built.graph.AddFactor(PositionPrior(built, 206));
   if (D == 2) {
-    EXPECT_NO_THROW(FactorAt(built.graph, built.values));
+    EXPECT_NO_THROW(CholeskyAt(built.graph, built.values));
     return;
   }
   motions = FreeMotionsOf(built, &message);
@@ -359,7 +359,7 @@ TYPED_TEST(ObservabilityTest, WhatIsNotFiniteIsNoFreeMotion) {
   built.values[4] = built.values[4] * testing::RandomMotion<TypeParam>(rng, 1e5, 0);
   built.graph.AddFactor(edge);
   try {
-    FactorAt(built.graph, built.values);
+    CholeskyAt(built.graph, built.values);
     FAIL() << "the graph is finite";
   } catch (const UnobservableError& error) {
     FAIL() << error.what();

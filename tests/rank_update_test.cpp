@@ -75,7 +75,7 @@ typename BlockCholesky<B>::Changes RandomAdditions(Random& rng, int n) {
 TYPED_TEST(RankUpdate, AdditionsEqualDenseByEveryMethod) {
   constexpr int B = TestFixture::B;
   for (std::uint64_t seed = 1; seed <= 6; ++seed) {
-    std::map<FactorPath, int> paths[3];
+    std::map<CholeskyPath, int> paths[3];
     for (int m = 0; m < 3; ++m) {
       const auto method = std::array{Method<B>::kRankUpdateWherePossible, Method<B>::kCheapest,
                                      Method<B>::kRefactor}[static_cast<std::size_t>(m)];
@@ -95,10 +95,10 @@ TYPED_TEST(RankUpdate, AdditionsEqualDenseByEveryMethod) {
       }
       ExpectEqualsDense(both.factor, both.mirror);
     }
-    EXPECT_GT(paths[0][FactorPath::kRankUpdate], 5);
-    EXPECT_GT(paths[0][FactorPath::kAppended], 2);
-    EXPECT_GT(paths[1][FactorPath::kRankUpdate], 0);
-    EXPECT_EQ(paths[2][FactorPath::kRankUpdate] + paths[2][FactorPath::kAppended], 0);
+    EXPECT_GT(paths[0][CholeskyPath::kRankUpdate], 5);
+    EXPECT_GT(paths[0][CholeskyPath::kAppended], 2);
+    EXPECT_GT(paths[1][CholeskyPath::kRankUpdate], 0);
+    EXPECT_EQ(paths[2][CholeskyPath::kRankUpdate] + paths[2][CholeskyPath::kAppended], 0);
   }
 }
 
@@ -115,7 +115,7 @@ TYPED_TEST(RankUpdate, LeavesAreAppendedAndChangeNothingAbove) {
   leaves.added = {RandomFactor<B>(rng, 1, 5), RandomFactor<B>(rng, 6, 3), RandomFactor<B>(rng, 6, 7),
                   RandomFactor<B>(rng, 8, 7), RandomFactor<B>(rng, 1, 9)};
   const auto report = both.Apply(leaves);
-  EXPECT_EQ(report.path, FactorPath::kAppended);
+  EXPECT_EQ(report.path, CholeskyPath::kAppended);
   EXPECT_EQ(report.fronts, 5);
   // Factors that can be met exactly predict no change.
   EXPECT_NEAR(both.factor.NewtonDecrement() - decrement,
@@ -131,7 +131,7 @@ TYPED_TEST(RankUpdate, LeavesAreAppendedAndChangeNothingAbove) {
     typename TestFixture::Changes leaf;
     leaf.new_variables = 1;
     leaf.added = {RandomFactor<B>(rng, n - 1, n)};
-    EXPECT_EQ(both.Apply(leaf).path, FactorPath::kAppended);
+    EXPECT_EQ(both.Apply(leaf).path, CholeskyPath::kAppended);
   }
   for (const auto method : {Method<B>::kRankUpdateWherePossible, Method<B>::kRefactor}) {
     auto copy = both;
@@ -159,7 +159,7 @@ TYPED_TEST(RankUpdate, OnlySingleWellConditionedFactorsAppend) {
     if (kind == 2) changes.added[0].A_second.col(0) *= 1e-7;  // a direction that is hardly measured
     const auto report = both.Apply(changes);
     ASSERT_TRUE(report.ok);
-    EXPECT_NE(report.path, FactorPath::kAppended) << kind;
+    EXPECT_NE(report.path, CholeskyPath::kAppended) << kind;
     if (kind < 2) ExpectEqualsDense(both.factor, both.mirror);
   }
 }
@@ -182,7 +182,7 @@ TYPED_TEST(RankUpdate, WaitingCorrectionsReachWhateverComesNext) {
         if (changes.added.empty()) continue;
         const auto report = both.Apply(changes);
         ASSERT_TRUE(report.ok);
-        updates += report.path == FactorPath::kRankUpdate ? 1 : 0;
+        updates += report.path == CholeskyPath::kRankUpdate ? 1 : 0;
       }
       EXPECT_GT(round > 0 ? 100 : updates, 10);
       ExpectEqualsDense(both.factor, both.mirror);
@@ -335,7 +335,7 @@ TYPED_TEST(RankUpdate, OrdersEverythingAgainWhenTheFillHasDrifted) {
     changes.new_variables = 1;
     changes.added = {RandomFactor<B>(rng, v - 1, v), RandomFactor<B>(rng, v - 2, v)};
     const auto report = mirrored.Apply(changes);
-    if (report.path == FactorPath::kRefactored && report.variables == v + 1) ++ordered;
+    if (report.path == CholeskyPath::kRefactored && report.variables == v + 1) ++ordered;
   }
   EXPECT_EQ(ordered, 1);
   ExpectEqualsDense(mirrored.factor, mirrored.mirror);

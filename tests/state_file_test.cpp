@@ -72,11 +72,11 @@ void ExpectSameBits(const IncrementalSolver<Pose>& a, const IncrementalSolver<Po
   ASSERT_EQ(of_a.size(), of_b.size());
   for (std::size_t i = 0; i < of_a.size(); ++i) ASSERT_EQ(Bits(of_a[i]), Bits(of_b[i])) << "pose " << i;
   ASSERT_EQ(Bits(a.LogDeterminant()), Bits(b.LogDeterminant()));
-  ASSERT_EQ(Bits(a.Factor().NewtonDecrement()), Bits(b.Factor().NewtonDecrement()));
+  ASSERT_EQ(Bits(a.Cholesky().NewtonDecrement()), Bits(b.Cholesky().NewtonDecrement()));
   ASSERT_EQ(Bits(a.Chi2()), Bits(b.Chi2()));
-  ASSERT_EQ(a.Factor().System().Gradient(), b.Factor().System().Gradient());
-  ASSERT_EQ(a.Factor().System().Diagonal(), b.Factor().System().Diagonal());
-  ASSERT_EQ(a.Factor().Nonzeros(), b.Factor().Nonzeros());
+  ASSERT_EQ(a.Cholesky().System().Gradient(), b.Cholesky().System().Gradient());
+  ASSERT_EQ(a.Cholesky().System().Diagonal(), b.Cholesky().System().Diagonal());
+  ASSERT_EQ(a.Cholesky().Nonzeros(), b.Cholesky().Nonzeros());
 }
 
 template <class Pose>
@@ -178,7 +178,7 @@ TYPED_TEST(StateFileTest, ContinuesBitByBit) {
       IncrementalSolver<TypeParam> running(options);
       std::optional<IncrementalSolver<TypeParam>> resumed;
       auto updates = RandomUpdates<TypeParam>(seed, 60);
-      std::set<FactorPath> paths;
+      std::set<CholeskyPath> paths;
       for (std::size_t k = 0; k < updates.size(); ++k) {
         testing::MaybeRemove(rng, running.Graph(), 3, updates[k]);
         const StepReport report = running.Update(updates[k]);
@@ -196,7 +196,7 @@ TYPED_TEST(StateFileTest, ContinuesBitByBit) {
         }
         resumed.emplace(SavedAndLoaded(running));
       }
-      ExpectSameTree<TypeParam>(running.Factor(), resumed->Factor());
+      ExpectSameTree<TypeParam>(running.Cholesky(), resumed->Cholesky());
       EXPECT_GE(paths.size(), 2u);
       const auto finished = running.Finish(), resumed_finished = resumed->Finish();
       EXPECT_EQ(Bits(finished.chi2), Bits(resumed_finished.chi2));
@@ -264,16 +264,16 @@ TYPED_TEST(StateFileTest, CovariancesAreThoseOfTheRunningSolver) {
     kept.Update();
   }
   IncrementalSolver<TypeParam> loaded = SavedAndLoaded(running);
-  EXPECT_NE(loaded.Factor().Identity(), running.Factor().Identity());
-  EXPECT_GT(loaded.Factor().Version(), running.Factor().Version());
-  EXPECT_FALSE(loaded.Factor().ChangesSince(running.Factor().Version()));
+  EXPECT_NE(loaded.Cholesky().Identity(), running.Cholesky().Identity());
+  EXPECT_GT(loaded.Cholesky().Version(), running.Cholesky().Version());
+  EXPECT_FALSE(loaded.Cholesky().ChangesSince(running.Cholesky().Version()));
   IncrementalMarginals<TypeParam> fresh(running), of_loaded(loaded);
   for (std::size_t k = 30; k < updates.size(); ++k) {
     SCOPED_TRACE("step " + std::to_string(k));
-    const std::uint64_t before = loaded.Factor().Version();
+    const std::uint64_t before = loaded.Cholesky().Version();
     running.Update(updates[k]);
     loaded.Update(updates[k]);
-    EXPECT_GT(loaded.Factor().Version(), before);
+    EXPECT_GT(loaded.Cholesky().Version(), before);
     kept.Update();
     fresh.Update();
     of_loaded.Update();
@@ -480,7 +480,7 @@ void ExpectResumes(const std::string& path) {
     if (::testing::Test::HasFatalFailure()) return;
   }
   ExpectSameBits(running, resumed);
-  ExpectSameTree<Pose>(running.Factor(), resumed.Factor());
+  ExpectSameTree<Pose>(running.Cholesky(), resumed.Cholesky());
   EXPECT_TRUE(SavedButTimes(running) == SavedButTimes(resumed));
 }
 

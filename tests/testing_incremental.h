@@ -48,7 +48,7 @@ void ExpectEqualsDense(const IncrementalSolver<Pose>& solver, bool estimate_too 
   const double log_det = LogDeterminant(dense.H);
   ASSERT_NEAR(solver.LogDeterminant(), log_det, 1e-9 * std::abs(log_det));
   // |y|^2 and the anchor's 1e8 share their digits.
-  ASSERT_NEAR(solver.Factor().NewtonDecrement(), x.dot(dense.b), 1e-8 * std::max(1.0, x.dot(dense.b)));
+  ASSERT_NEAR(solver.Cholesky().NewtonDecrement(), x.dot(dense.b), 1e-8 * std::max(1.0, x.dot(dense.b)));
   if (!estimate_too) return;
   for (std::size_t i = 0; i < solver.LinearizationPoints().size(); ++i) {
     const Vector<Pose::kDof> d = x.segment<Pose::kDof>(static_cast<Eigen::Index>(i) * Pose::kDof);

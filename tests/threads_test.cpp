@@ -57,7 +57,7 @@ void ExpectSameBatch(const PoseGraph<Pose>& graph) {
     EXPECT_EQ(many.chi2, one.chi2);
     EXPECT_EQ(many.log_determinant, one.log_determinant);
     EXPECT_EQ(many.gradient_norm, one.gradient_norm);
-    EXPECT_EQ(many.factor.Solution(), one.factor.Solution());
+    EXPECT_EQ(many.cholesky.Solution(), one.cholesky.Solution());
     ExpectSameBits(many.T_world_body, one.T_world_body);
   }
 }

@@ -43,7 +43,7 @@ void StepRecorder<Pose>::Add(const CompactPoseSlam<Pose>& slam, const Decision& 
   const bool is_last = number == expected_;
   if (number % stride_ == 0 || is_last) {
     step.hessian_nonzeros = HessianNonzeros(slam.Solver().Graph());
-    step.factor_nonzeros = slam.Solver().Factor().Nonzeros();
+    step.factor_nonzeros = slam.Solver().Cholesky().Nonzeros();
   }
   if (truth_ != nullptr && (number % std::max(1, expected_ / kErrorSamples) == 0 || is_last)) step.ate_m = Ate(slam);
   steps_.push_back(step);

@@ -51,7 +51,7 @@ class Run {
         tolerance_(options.relative_tolerance) {
     if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
     result_.T_world_body = initial;
-    result_.factor.SetThreads(options.threads);
+    result_.cholesky.SetThreads(options.threads);
   }
 
   BatchResult<Pose> Execute() && {
@@ -88,7 +88,7 @@ class Run {
     typename BlockCholesky<B>::UpdateReport report;
     {
       ScopedTimer timer(seconds);
-      report = result_.factor.Update(everything);
+      report = result_.cholesky.Update(everything);
     }
     result_.seconds.order += report.seconds_order;
     result_.seconds.factor += seconds - report.seconds_order;
@@ -100,7 +100,7 @@ class Run {
     auto singular = ExplainSingularity(std::move(system), result_.T_world_body, IdsOf(graph_), failed_variable);
     Finish(Termination::kNotPositiveDefinite, singular.message);
     result_.free_motions = std::move(singular.motions);
-    result_.factor = BlockCholesky<B>();
+    result_.cholesky = BlockCholesky<B>();
     singular_ = true;
   }
 
@@ -130,8 +130,8 @@ class Run {
     damping_control_ = Damping();
     if (problem_.IsOutdated()) {
       Log(options_.log, LogLevel::kDebug, "batch: the factor is ordered anew for the loops that have weight");
-      result_.factor = BlockCholesky<B>();
-      result_.factor.SetThreads(options_.threads);
+      result_.cholesky = BlockCholesky<B>();
+      result_.cholesky.SetThreads(options_.threads);
       if (BuildFactor()) linearised_here_ = factored_here_ = true;
     }
     return changed;
@@ -178,32 +178,32 @@ class Run {
     UpdateGauge();
     // The factor that is handed out is the undamped one at the final values.
     if (!factored_here_) factored_here_ = RefactorAt(0);
-    result_.gradient_norm = LargestEntry(result_.factor.System().Gradient());
+    result_.gradient_norm = LargestEntry(result_.cholesky.System().Gradient());
     if (!factored_here_) {
       // Another order may round better; or it says what is free.
       Log(options_.log, LogLevel::kInfo, "batch: not positive definite at the optimum, the factor is ordered anew");
-      result_.factor = BlockCholesky<B>();
-      result_.factor.SetThreads(options_.threads);
+      result_.cholesky = BlockCholesky<B>();
+      result_.cholesky.SetThreads(options_.threads);
       factored_here_ = BuildFactor();
     }
     if (!factored_here_) return;
-    result_.factor.Solve();
-    result_.log_determinant = result_.factor.LogDeterminant();
+    result_.cholesky.Solve();
+    result_.log_determinant = result_.cholesky.LogDeterminant();
   }
 
   bool RefactorAt(double lambda) {
     if (!linearised_here_) {
       ScopedTimer timer(result_.seconds.linearise);
-      result_.factor.SetFactors(problem_.LinearizeTerms(result_.T_world_body));
+      result_.cholesky.SetLinearFactors(problem_.LinearizeTerms(result_.T_world_body));
       linearised_here_ = true;
     }
     ScopedTimer timer(result_.seconds.factor);
     damping_.clear();
     if (lambda > 0) {
-      damping_ = result_.factor.System().Diagonal();
+      damping_ = result_.cholesky.System().Diagonal();
       for (double& x : damping_) x = lambda * std::max(x, 1e-12);
     }
-    return result_.factor.Refactor(damping_);
+    return result_.cholesky.Refactor(damping_);
   }
 
   void TakeStep() {
@@ -217,10 +217,10 @@ class Run {
     std::vector<double> d;
     {
       ScopedTimer timer(result_.seconds.solve);
-      result_.factor.Solve();
-      d = result_.factor.Solution();
+      result_.cholesky.Solve();
+      d = result_.cholesky.Solution();
     }
-    double predicted = result_.factor.NewtonDecrement();
+    double predicted = result_.cholesky.NewtonDecrement();
     for (size_t i = 0; i < damping_.size(); ++i) predicted += damping_[i] * d[i] * d[i];
     State trial{Step(result_.T_world_body, d, options_.threads)};
     trial.cost = problem_.Cost(trial.values, trial.chi2);
@@ -331,22 +331,22 @@ BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const BatchOptions& o
 }
 
 template <class Pose>
-BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body) {
+BlockCholesky<Pose::kDof> CholeskyAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body) {
   if (T_world_body.size() != graph.Poses().size()) throw std::invalid_argument("one value per pose is needed");
-  BlockCholesky<Pose::kDof> factor;
+  BlockCholesky<Pose::kDof> cholesky;
   auto everything = Problem<Pose>(graph, 1).Everything(T_world_body);
-  const auto report = factor.Update(everything);
+  const auto report = cholesky.Update(everything);
   if (!report.ok) {
     ThrowSingular(ExplainSingularity(std::move(everything.added), T_world_body, IdsOf(graph), report.failed_variable));
   }
-  factor.Solve();
-  return factor;
+  cholesky.Solve();
+  return cholesky;
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                       \
   template BatchResult<Pose> SolveBatch<Pose>(const PoseGraph<Pose>&, const BatchOptions&);                           \
   template BatchResult<Pose> SolveBatch<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, const BatchOptions&); \
-  template BlockCholesky<Pose::kDof> FactorAt<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&);
+  template BlockCholesky<Pose::kDof> CholeskyAt<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

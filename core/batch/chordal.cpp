@@ -78,7 +78,7 @@ class LeastSquares {
       everything.added = std::move(factors_);
       ok = factor.Update(everything).ok;
     } else {
-      factor.SetFactors(factors_);
+      factor.SetLinearFactors(factors_);
       ok = factor.Refactor();
     }
     if (!ok) throw NumericalError("chordal initial values: the linear system is singular");

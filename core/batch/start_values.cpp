@@ -177,7 +177,7 @@ class Comparison {
       if (lambda == 0) return true;
     } else {
       problem_.SetGauge(FindGauge(graph_, start.values));  // each start lies in a frame of its own
-      factor_.SetFactors(problem_.LinearizeTerms(start.values));
+      factor_.SetLinearFactors(problem_.LinearizeTerms(start.values));
     }
     if (lambda > 0) {
       damping_ = factor_.System().Diagonal();

@@ -82,8 +82,8 @@ void BlockCholesky<B>::SetThreads(int threads) {
 }
 
 template <int B>
-void BlockCholesky<B>::SetFactors(const std::vector<LinearFactor<B>>& factors) {
-  system_.SetFactors(factors, parts_->numbers.Threads());
+void BlockCholesky<B>::SetLinearFactors(const std::vector<LinearFactor<B>>& factors) {
+  system_.SetLinearFactors(factors, parts_->numbers.Threads());
 }
 
 template <int B>
@@ -164,7 +164,7 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
   parts_->region.Clear();
   report.ok = true;
   if (report.fronts == 0 && report.fronts_updated == 0) {
-    report.path = FactorPath::kNone;
+    report.path = CholeskyPath::kNone;
     return report;
   }
   system_.Commit(undo, version_);

@@ -285,7 +285,7 @@ std::vector<double> BlockSystem<B>::Diagonal() const {
 }
 
 template <int B>
-void BlockSystem<B>::SetFactors(const std::vector<LinearFactor<B>>& factors, int threads) {
+void BlockSystem<B>::SetLinearFactors(const std::vector<LinearFactor<B>>& factors, int threads) {
   if (factors.size() > factors_.size()) throw std::invalid_argument("no such factor slot");
   for (size_t k = 0; k < factors.size(); ++k) {
     if (factors_[k].first != factors[k].first || factors_[k].second != factors[k].second) {

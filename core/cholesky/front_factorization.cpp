@@ -81,7 +81,7 @@ int FactorPanel(double* panel, int rows, int pivots, bool parallel) {
 
 template <int B>
 void AssembleFactor(Front<B>& front, int slot, const BlockSystem<B>& system, const std::vector<int>& row_of) {
-  const LinearFactor<B>& f = system.FactorAt(slot);
+  const LinearFactor<B>& f = system.LinearFactorAt(slot);
   const auto& normal = system.NormalAt(slot);
   const int i = row_of[At(f.first)];
   AddBlock<B>(front, i, i, normal.H_first);

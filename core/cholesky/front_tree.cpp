@@ -257,7 +257,7 @@ std::string FrontTree<B>::FindDefect() const {
 template <int B>
 std::string FrontTree<B>::FindSlotDefect(const BlockSystem<B>& system) const {
   long living = 0;
-  for (int slot = 0; slot < system.Slots(); ++slot) living += system.FactorAt(slot).first >= 0 ? 1 : 0;
+  for (int slot = 0; slot < system.Slots(); ++slot) living += system.LinearFactorAt(slot).first >= 0 ? 1 : 0;
   std::vector<char> is_taken(At(system.Slots()), 0);
   std::vector<int> seen_in(front_of_.size(), -1);
   for (int f = 0; f < Size(); ++f) {
@@ -268,7 +268,7 @@ std::string FrontTree<B>::FindSlotDefect(const BlockSystem<B>& system) const {
     for (const int v : front.separators) seen_in[At(v)] = f;
     living -= static_cast<long>(front.slots.size());
     for (const int slot : front.slots) {
-      const LinearFactor<B>& factor = system.FactorAt(slot);
+      const LinearFactor<B>& factor = system.LinearFactorAt(slot);
       if (std::exchange(is_taken[At(slot)], 1) != 0 || factor.first < 0) {
         return "a linear factor is in two fronts, or in one and free";
       }

@@ -37,7 +37,7 @@ bool CanAppend(const UpdateContext<B>& update) {
   for (int v = old_variables; v < system.Variables(); ++v) {
     int joining = 0;
     for (const int slot : system.SlotsOf(v)) {
-      const LinearFactor<B>& f = system.FactorAt(slot);
+      const LinearFactor<B>& f = system.LinearFactorAt(slot);
       if (f.second < 0) return false;
       if (std::max(f.first, f.second) != v) continue;
       if (!IsWellConditioned<B>(f.first == v ? f.A_first : f.A_second)) return false;
@@ -58,7 +58,7 @@ int Append(UpdateContext<B>& update) {
     Front<B> front;
     front.pivots = {v};
     for (const int slot : system.SlotsOf(v)) {
-      const LinearFactor<B>& f = system.FactorAt(slot);
+      const LinearFactor<B>& f = system.LinearFactorAt(slot);
       if (std::max(f.first, f.second) != v) continue;
       front.slots = {slot};
       front.separators = {std::min(f.first, f.second)};
@@ -77,7 +77,7 @@ int Append(UpdateContext<B>& update) {
   }
   update.report.fronts = update.report.variables = static_cast<int>(leaves.size());
   update.tree.Append(leaves, parents, update.version);
-  update.report.path = FactorPath::kAppended;
+  update.report.path = CholeskyPath::kAppended;
   return -1;
 }
 
@@ -118,7 +118,7 @@ bool RankUpdate<B>::Plan(const UpdateContext<B>& update, const std::vector<int>&
   };
   std::vector<char> held(At(system.Variables() - old_variables), 0);
   for (const int slot : update.undo.added) {
-    const LinearFactor<B>& f = system.FactorAt(slot);
+    const LinearFactor<B>& f = system.LinearFactorAt(slot);
     int start = front_of(f.first);
     if (f.second >= 0) {
       const int other = front_of(f.second);
@@ -213,7 +213,7 @@ int RankUpdate<B>::PlaceVariables(Front<B>& front, const Front<B>& old, const Be
     columns += child->corrections.front().columns;
   }
   for (const int slot : front.slots) {
-    const LinearFactor<B>& f = update.system.FactorAt(slot);
+    const LinearFactor<B>& f = update.system.LinearFactorAt(slot);
     add(f.first);
     if (f.second >= 0) add(f.second);
     columns += B;
@@ -244,7 +244,7 @@ int RankUpdate<B>::FillColumns(const Front<B>& front, const Below& below, Update
     }
   }
   for (const int slot : front.slots) {
-    const LinearFactor<B>& f = update.system.FactorAt(slot);
+    const LinearFactor<B>& f = update.system.LinearFactorAt(slot);
     for (int k = 0; k < B; ++k, to += rows) {
       const auto scatter = [&](int v, const Matrix<B, B>& A) {
         const int at = row_of[At(v)];
@@ -338,7 +338,7 @@ int RankUpdate<B>::Update(const Path& path, UpdateContext<B>& update) {
   }
   tree.SetFrontOf(update.undo.variables, variables, path.fronts.back());
   update.report.fronts_updated = static_cast<int>(changed.size());
-  update.report.path = FactorPath::kRankUpdate;
+  update.report.path = CholeskyPath::kRankUpdate;
   return -1;
 }
 

@@ -75,7 +75,7 @@ void Region<B>::ForEachSlot(const UpdateContext<B>& update, bool with_added, con
   if (!with_added || on_variables <= BlockSystem<B>::kHub || on_variables <= 4 * (in_fronts + added.size())) {
     for (const int v : variables_) {
       for (const int slot : system.SlotsOf(v)) {
-        const LinearFactor<B>& f = system.FactorAt(slot);
+        const LinearFactor<B>& f = system.LinearFactorAt(slot);
         if (f.first == v && (f.second < 0 || local_[At(f.second)] >= 0)) visit(slot);
       }
     }
@@ -83,7 +83,7 @@ void Region<B>::ForEachSlot(const UpdateContext<B>& update, bool with_added, con
   }
   std::vector<std::pair<int, int>> wanted;  // (index of the first variable, slot)
   const auto want = [&](int slot) {
-    const int first = system.FactorAt(slot).first;
+    const int first = system.LinearFactorAt(slot).first;
     if (first >= 0) wanted.emplace_back(local_[At(first)], slot);
   };
   for (const int f : fronts_) std::for_each(update.tree[f].slots.begin(), update.tree[f].slots.end(), want);
@@ -111,7 +111,7 @@ typename Region<B>::Couplings Region<B>::Collect(const UpdateContext<B>& update,
     out.orphan.push_back(orphan);
   };
   ForEachSlot(update, with_added, [&](int slot) {
-    const LinearFactor<B>& f = update.system.FactorAt(slot);
+    const LinearFactor<B>& f = update.system.LinearFactorAt(slot);
     out.cliques.members.push_back(local_[At(f.first)]);
     if (f.second >= 0) out.cliques.members.push_back(local_[At(f.second)]);
     close(slot, -1);
@@ -134,8 +134,8 @@ void Region<B>::OrderNewestLast(const UpdateContext<B>& update, Couplings& coupl
     if (v >= 0 && local_[At(v)] >= 0) couplings.order_last[At(local_[At(v)])] = 1;
   };
   for (const int slot : update.undo.added) {
-    last(update.system.FactorAt(slot).first);
-    last(update.system.FactorAt(slot).second);
+    last(update.system.LinearFactorAt(slot).first);
+    last(update.system.LinearFactorAt(slot).second);
   }
   last(update.system.Variables() - 1);
 }
@@ -189,7 +189,7 @@ int Region<B>::Refactor(UpdateContext<B>& update) {
   if (failed >= 0) return failed;
   update.report.fronts = static_cast<int>(pending.size());
   update.report.variables = static_cast<int>(variables_.size());
-  update.report.path = FactorPath::kRefactored;
+  update.report.path = CholeskyPath::kRefactored;
   update.tree.Replace(fronts_, is_taken_, pending, update.version, update.numbers.Pool());
   return -1;
 }

@@ -39,7 +39,7 @@ struct BlockSystem<B>::Undo {
       visit(factor.first);
       if (factor.second >= 0) visit(factor.second);
     };
-    for (const int slot : added) visit_both(system.FactorAt(slot));
+    for (const int slot : added) visit_both(system.LinearFactorAt(slot));
     for (const auto& change : replaced) visit_both(change.second);
     for (const auto& change : removed) visit_both(change.second);
   }

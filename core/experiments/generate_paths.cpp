@@ -68,7 +68,8 @@ class ArcLength {
   std::vector<double> lengths_;
 };
 
-// 5 % of the motion's length and angle, on each axis (S, section 6); the floors keep a zero motion uncertain.
+// 5 % of the motion's length and angle, on each axis (Ila et al. 2017 section 6); the floors keep a zero motion
+// uncertain.
 SE3::Tangent FivePercent(const SE3& T_from_to) {
   const double sigma_m = std::max(0.05 * T_from_to.Translation().norm(), 0.002);
   const double sigma_rad = std::max(0.05 * T_from_to.Angle(), 0.001);

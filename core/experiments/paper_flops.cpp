@@ -47,7 +47,7 @@ Pattern PatternOf(const BlockCholesky<B>& factor) {
   };
   for (int v = 0; v < variables; ++v) {
     for (const int slot : factor.SlotsOf(v)) {
-      const LinearFactor<B>& f = factor.FactorAt(slot);
+      const LinearFactor<B>& f = factor.LinearFactorAt(slot);
       if (f.first != v) continue;
       couple(f.first, f.A_first, f.first, f.A_first);
       if (f.second < 0) continue;

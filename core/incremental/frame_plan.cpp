@@ -119,7 +119,8 @@ void PlanMotion(const GraphUpdate<Pose>& update, const Pose& T_new_old, const Li
     if (map.SlotOf(id) >= 0) is_removed[At(map.SlotOf(id))] = 1;
   }
   for (int slot = 0; slot < map.Slots(); ++slot) {
-    if (map.Cholesky().FactorAt(slot).first < 0 || is_removed[At(slot)] != 0 || slot == map.AnchorSlot()) continue;
+    if (map.Cholesky().LinearFactorAt(slot).first < 0 || is_removed[At(slot)] != 0 || slot == map.AnchorSlot())
+      continue;
     plan.changes.replaced.emplace_back(slot, map.LinearizeSlot(slot, point));
   }
 }

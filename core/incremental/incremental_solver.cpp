@@ -21,12 +21,12 @@ namespace {
 using internal::Log;
 using internal::ScopedTimer;
 
-const char* NameForLog(FactorPath path) {
+const char* NameForLog(CholeskyPath path) {
   switch (path) {
-    case FactorPath::kNone: return "unchanged";
-    case FactorPath::kAppended: return "appended";
-    case FactorPath::kRankUpdate: return "updated by rank k";
-    case FactorPath::kRefactored: return "reordered and refactored";
+    case CholeskyPath::kNone: return "unchanged";
+    case CholeskyPath::kAppended: return "appended";
+    case CholeskyPath::kRankUpdate: return "updated by rank k";
+    case CholeskyPath::kRefactored: return "reordered and refactored";
   }
   return "unknown";
 }
@@ -171,7 +171,7 @@ void IncrementalSolver<Pose>::Parts::ThrowSingularUpdate(const GraphUpdate<Pose>
                                                          int failed_variable) const {
   std::map<int, LinearFactor<B>> old;
   for (int slot = 0; slot < map.Slots(); ++slot) {
-    if (map.Cholesky().FactorAt(slot).first >= 0) old.emplace(slot, map.Cholesky().FactorAt(slot));
+    if (map.Cholesky().LinearFactorAt(slot).first >= 0) old.emplace(slot, map.Cholesky().LinearFactorAt(slot));
   }
   for (const int slot : plan.changes.removed) old.erase(slot);
   for (const auto& [slot, factor] : plan.changes.replaced) old[slot] = factor;
@@ -323,7 +323,7 @@ double IncrementalSolver<Pose>::WeightOf(FactorId id) const {
   return parts_->judge.WeightOf(id, parts_->map);
 }
 template <class Pose>
-const BlockCholesky<Pose::kDof>& IncrementalSolver<Pose>::Factor() const {
+const BlockCholesky<Pose::kDof>& IncrementalSolver<Pose>::Cholesky() const {
   return parts_->map.Cholesky();
 }
 template <class Pose>

@@ -61,7 +61,7 @@ double LinearizedGraph<Pose>::Chi2Of(FactorId id) const {
 
 template <class Pose>
 LinearFactor<Pose::kDof> LinearizedGraph<Pose>::LinearizeSlot(int slot, const PointOf& point) const {
-  const LinearFactor<B>& was = cholesky_.FactorAt(slot);
+  const LinearFactor<B>& was = cholesky_.LinearFactorAt(slot);
   if (slot == anchor_slot_) return was;  // proximal: the same at any value
   const FactorId id = IdAt(slot);
   const int second = was.second < 0 ? was.first : was.second;
@@ -90,7 +90,7 @@ typename LinearizedGraph<Pose>::Replacements LinearizedGraph<Pose>::LinearizeAro
 
 template <class Pose>
 Vector<Pose::kDof> LinearizedGraph<Pose>::LinearResidual(int slot) const {
-  const LinearFactor<B>& f = cholesky_.FactorAt(slot);
+  const LinearFactor<B>& f = cholesky_.LinearFactorAt(slot);
   Vector<B> r = f.residual;
   r += f.A_first * OffsetOf(f.first);
   if (f.second >= 0) r += f.A_second * OffsetOf(f.second);
@@ -112,7 +112,7 @@ template <class Pose>
 void LinearizedGraph<Pose>::RecountCosts() {
   cost_at_points_ = cost_at_offsets_ = 0;
   for (int slot = 0; slot < Slots(); ++slot) {
-    if (cholesky_.FactorAt(slot).first >= 0) ChangeCosts(cholesky_.FactorAt(slot), 1);
+    if (cholesky_.LinearFactorAt(slot).first >= 0) ChangeCosts(cholesky_.LinearFactorAt(slot), 1);
   }
 }
 
@@ -120,8 +120,8 @@ template <class Pose>
 typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::UpdateCholesky(const Changes& changes,
                                                                                    StepReport& report) {
   std::vector<LinearFactor<B>> gone;
-  for (const int slot : changes.removed) gone.push_back(cholesky_.FactorAt(slot));
-  for (const auto& change : changes.replaced) gone.push_back(cholesky_.FactorAt(change.first));
+  for (const int slot : changes.removed) gone.push_back(cholesky_.LinearFactorAt(slot));
+  for (const auto& change : changes.replaced) gone.push_back(cholesky_.LinearFactorAt(change.first));
   UpdateReport done;
   {
     ScopedTimer timer(seconds_.factor);
@@ -233,7 +233,7 @@ bool LinearizedGraph<Pose>::MoveTo(const std::vector<Pose>& T_world_body, const 
   Changes changes;
   const auto point = [&](int v) -> const Pose& { return T_world_body[At(v)]; };
   for (int slot = 0; slot < Slots(); ++slot) {
-    if (cholesky_.FactorAt(slot).first < 0) continue;
+    if (cholesky_.LinearFactorAt(slot).first < 0) continue;
     changes.replaced.emplace_back(slot, slot == anchor_slot_ ? Anchor(gauge) : LinearizeSlot(slot, point));
   }
   if (!cholesky_.Update(changes).ok) return false;
@@ -263,7 +263,7 @@ void LinearizedGraph<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
     Matrix<B, B> H = Matrix<B, B>::Zero();
     Vector<B> b = Vector<B>::Zero();
     for (const int slot : cholesky_.SlotsOf(v)) {
-      const LinearFactor<B>& f = cholesky_.FactorAt(slot);
+      const LinearFactor<B>& f = cholesky_.LinearFactorAt(slot);
       const int other = f.first == v ? f.second : f.first;
       if (other > v) continue;
       const Matrix<B, B>& A = f.first == v ? f.A_first : f.A_second;
@@ -276,9 +276,9 @@ void LinearizedGraph<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
     if (llt.info() != Eigen::Success) continue;  // held by a later pose only: stays where it was composed
     const Vector<B> d = llt.solve(b);
     const auto& slots = cholesky_.SlotsOf(v);
-    for (const int slot : slots) cost_at_offsets_ -= LinearCost(cholesky_.FactorAt(slot), cholesky_.Solution());
+    for (const int slot : slots) cost_at_offsets_ -= LinearCost(cholesky_.LinearFactorAt(slot), cholesky_.Solution());
     cholesky_.SetSolution(v, d);
-    for (const int slot : slots) cost_at_offsets_ += LinearCost(cholesky_.FactorAt(slot), cholesky_.Solution());
+    for (const int slot : slots) cost_at_offsets_ += LinearCost(cholesky_.LinearFactorAt(slot), cholesky_.Solution());
     ++report.variables_moved;
   }
   report.predicted_decrease -= RemainingDecrease();
@@ -349,13 +349,13 @@ std::string LinearizedGraph<Pose>::FindStateDefect() const {
     if (IdAt(slot) != node.id) return "a measurement without a slot";
     const FactorPoses ends = PosesOf(node.factor);
     const int second = ends.count == 2 ? graph_.IndexOf(ends.second) : -1;
-    const LinearFactor<B>& f = cholesky_.FactorAt(slot);
+    const LinearFactor<B>& f = cholesky_.LinearFactorAt(slot);
     if (f.first != graph_.IndexOf(ends.first) || f.second != second) return "a measurement in a slot of other poses";
     ++bound;
     scalars += Dimension(node.factor);
   }
   for (int slot = 0; slot < cholesky_.Slots(); ++slot) {
-    const LinearFactor<B>& f = cholesky_.FactorAt(slot);
+    const LinearFactor<B>& f = cholesky_.LinearFactorAt(slot);
     const bool is_bound = At(slot) < slots && IdAt(slot).value >= 0;
     if (is_bound && bound-- == 0) return "a slot without a measurement";
     if (is_bound || f.first < 0) continue;
@@ -364,7 +364,7 @@ std::string LinearizedGraph<Pose>::FindStateDefect() const {
     if (slot != anchor_slot_ && !(node.fixed && node.T_world_body)) return "a pose is held that is not fixed";
   }
   if (anchor_slot_ < -1 || anchor_slot_ >= cholesky_.Slots() || (anchor_slot_ < 0) != (poses == 0) ||
-      (anchor_slot_ >= 0 && cholesky_.FactorAt(anchor_slot_).first != 0)) {
+      (anchor_slot_ >= 0 && cholesky_.LinearFactorAt(anchor_slot_).first != 0)) {
     return "the map is not anchored";
   }
   const AbsoluteFactors absolute = CountAbsoluteFactors(graph_);

@@ -98,7 +98,7 @@ class LinearizedGraph {
   // New linearisation points and the slots' measurements at them; their offsets become zero. The slots' costs are
   // counted by CountCost, one after the other.
   bool Relinearize(const std::map<int, Pose>& points, const Replacements& replaced, StepReport& report);
-  void CountCost(int slot) { ChangeCosts(cholesky_.FactorAt(slot), 1); }
+  void CountCost(int slot) { ChangeCosts(cholesky_.LinearFactorAt(slot), 1); }
   // All points, and the gauge that goes with them.
   bool MoveTo(const std::vector<Pose>& T_world_body, const Gauge<Pose>& gauge);
 

@@ -164,7 +164,7 @@ void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, StepContext<Pose>& step) {
   }
   for (const Loop& loop : loops) {
     const int slot = step.map.SlotOf(loop.id);
-    if (slot >= 0) plan.changes.added.push_back(step.map.Cholesky().FactorAt(slot));
+    if (slot >= 0) plan.changes.added.push_back(step.map.Cholesky().LinearFactorAt(slot));
   }
 }
 
@@ -214,7 +214,7 @@ void LoopJudge<Pose>::AddContestants(Loops& contest, const Map& map) const {
   if (along.empty()) return;  // one against another: who was first stays
   for (int slot = 0; slot < static_cast<int>(slots_.size()); ++slot) {
     if (!slots_[static_cast<size_t>(slot)].is_loop) continue;
-    against.emplace_back(-moved(map.Cholesky().FactorAt(slot)).squaredNorm(), map.IdAt(slot));
+    against.emplace_back(-moved(map.Cholesky().LinearFactorAt(slot)).squaredNorm(), map.IdAt(slot));
   }
   for (auto* side : {&against, &along}) {
     const auto kept = side->begin() + static_cast<long>(std::min(side->size(), kMostContested / 2));

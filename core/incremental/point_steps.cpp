@@ -46,7 +46,7 @@ bool MoveBy(typename LinearizedGraph<Pose>::Steps& steps, StepContext<Pose>& ste
     for (const auto& [v, d] : steps) points.emplace(v, map.Points()[At(v)].Retract(share * d));
     replaced = map.LinearizeAround(points);
     before = 0;
-    for (const auto& change : replaced) before += map.Cholesky().FactorAt(change.first).residual.squaredNorm();
+    for (const auto& change : replaced) before += map.Cholesky().LinearFactorAt(change.first).residual.squaredNorm();
     after = SquaredResiduals(replaced);
     return after <= before * (1 + kRounding);
   };
@@ -73,7 +73,7 @@ bool MoveBy(typename LinearizedGraph<Pose>::Steps& steps, StepContext<Pose>& ste
   return true;
 }
 
-// The poses of the next iteration: those that moved, and their neighbours (Arablouei 2026, Eqs. 17-18).
+// The poses of the next iteration: those that moved, and their neighbours (Arablouei 2026 Eqs. 17-18).
 template <class Steps, int B>
 std::vector<int> NextScope(const Steps& moved, const BlockCholesky<B>& cholesky, bool neighbours) {
   std::vector<int> scope;
@@ -81,7 +81,7 @@ std::vector<int> NextScope(const Steps& moved, const BlockCholesky<B>& cholesky,
     scope.push_back(step.first);
     if (!neighbours) continue;
     for (const int slot : cholesky.SlotsOf(step.first)) {
-      const LinearFactor<B>& f = cholesky.FactorAt(slot);
+      const LinearFactor<B>& f = cholesky.LinearFactorAt(slot);
       scope.push_back(f.first);
       if (f.second >= 0) scope.push_back(f.second);
     }

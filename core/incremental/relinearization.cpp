@@ -120,7 +120,7 @@ const Pose& Relinearization<Pose>::RememberedEstimate(int index, const Map& map)
 
 template <class Pose>
 Vector<Pose::kDof> Relinearization<Pose>::WhitenedResidualAt(int slot, const Map& map) {
-  const LinearFactor<B>& f = map.Cholesky().FactorAt(slot);
+  const LinearFactor<B>& f = map.Cholesky().LinearFactorAt(slot);
   const Pose& first = RememberedEstimate(f.first, map);
   return map.RootAt(slot) * Residual(map.Graph().FindFactor(map.IdAt(slot))->factor, first,
                                      f.second >= 0 ? RememberedEstimate(f.second, map) : first);
@@ -129,7 +129,7 @@ Vector<Pose::kDof> Relinearization<Pose>::WhitenedResidualAt(int slot, const Map
 // How far the linearised factor is from the true one, in units of chi2.
 template <class Pose>
 double Relinearization<Pose>::LinearizationError(int slot, const Map& map) {
-  if (map.Cholesky().FactorAt(slot).first < 0 || map.IdAt(slot).value < 0) return 0;
+  if (map.Cholesky().LinearFactorAt(slot).first < 0 || map.IdAt(slot).value < 0) return 0;
   return (WhitenedResidualAt(slot, map) - map.LinearResidual(slot)).squaredNorm();
 }
 
@@ -194,7 +194,7 @@ std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, Deadline de
       const double more = PathFlops(paths, v);
       // A step that brings nothing gets on whatever the budget: what never fits would wait for ever.
       // But not from an estimate that back-substitution has half done.
-      const bool must = points.empty() && report.path == FactorPath::kNone && cholesky.LastSolve().deferred == 0;
+      const bool must = points.empty() && report.path == CholeskyPath::kNone && cholesky.LastSolve().deferred == 0;
       if (flops + more > affordable && !must) {
         ++report.deferred_relinearisations;
         return;
@@ -208,14 +208,14 @@ std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, Deadline de
   for (const int slot : suspects_) {
     if (tolerated > 0 && left <= tolerated / 2) break;
     left -= SlotAt(slot).error;
-    add(cholesky.FactorAt(slot).first);
-    add(cholesky.FactorAt(slot).second);
+    add(cholesky.LinearFactorAt(slot).first);
+    add(cholesky.LinearFactorAt(slot).second);
   }
   // Poses that moved together far and fast: a factor between one that is relinearised and one that is not would be
   // linearised where nobody is.
   for (size_t k = 0; k < added.size(); ++k) {
     for (const int slot : cholesky.SlotsOf(added[k])) {
-      const LinearFactor<B>& f = cholesky.FactorAt(slot);
+      const LinearFactor<B>& f = cholesky.LinearFactorAt(slot);
       const int other = f.first == added[k] ? f.second : f.first;
       if (other < 0 || points.count(other) != 0 || !IsOutgrown(other, map, options)) continue;
       if (ErrorAfter(slot, points, map) > kWorthJoining * tolerated) add(other);
@@ -277,7 +277,7 @@ bool Relinearization<Pose>::MoveWorst(bool urgently, Deadline deadline, Map& map
     if (points.empty()) return false;
     replaced = map.LinearizeAround(points);
     double before = static_cast<double>(B * replaced.size());
-    for (const auto& change : replaced) before += map.Cholesky().FactorAt(change.first).residual.squaredNorm();
+    for (const auto& change : replaced) before += map.Cholesky().LinearFactorAt(change.first).residual.squaredNorm();
     for (double share = 1; share >= kLeastShare; share /= 2) {
       if (SquaredResiduals(replaced) <= kClimb * before) {
         if (share < 1) {

@@ -26,7 +26,7 @@ bool OptimizeOffsets(bool was_deferred, StepContext<Pose>& step);
 template <class Pose>
 void BackSubstitute(std::optional<std::chrono::steady_clock::time_point> deadline, StepContext<Pose>& step);
 
-// Carry::kPoint: moves the linearisation points while any step exceeds the step tolerance (Arablouei 2026, Eqs. 17-18);
+// Carry::kPoint: moves the linearisation points while any step exceeds the step tolerance (Arablouei 2026 Eqs. 17-18);
 // with the gate closed those of the new poses. True if work is deferred.
 template <class Pose>
 bool OptimizePoints(int new_poses, StepContext<Pose>& step);

@@ -85,7 +85,7 @@ class CholmodMatrix {
     LinearFactors factors;
     for (int v = 0; v < other.Variables(); ++v) {
       for (const int slot : other.SlotsOf(v)) {
-        if (other.FactorAt(slot).first == v) factors.push_back(other.FactorAt(slot));
+        if (other.LinearFactorAt(slot).first == v) factors.push_back(other.LinearFactorAt(slot));
       }
     }
     return factors;

@@ -27,7 +27,7 @@ nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues st
   double factor_seconds = std::numeric_limits<double>::infinity(), blocks_seconds = factor_seconds;
   for (int k = 0; k < kRepeats; ++k) {
     const auto begin = Clock::now();
-    if (!optimum.factor.Refactor()) throw std::runtime_error("not positive definite at the optimum");
+    if (!optimum.cholesky.Refactor()) throw std::runtime_error("not positive definite at the optimum");
     factor_seconds = std::min(factor_seconds, since(begin));
     const auto middle = Clock::now();
     blocks = marginals.AllMarginals();

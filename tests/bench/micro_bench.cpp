@@ -26,7 +26,7 @@ void RegisterGraph(const std::string& name, std::shared_ptr<const PoseGraph<Pose
     benchmark::RegisterBenchmark((what + "/" + name).c_str(), std::move(run))->Unit(benchmark::kMillisecond);
   };
   add("Factor/terse", [=](benchmark::State& state) {
-    auto factor = FactorAt(*graph, *values);
+    auto factor = CholeskyAt(*graph, *values);
     for (auto _ : state) benchmark::DoNotOptimize(factor.Refactor());
   });
   add("Factor/cholmod", [=](benchmark::State& state) {
@@ -55,7 +55,7 @@ void RegisterGraph(const std::string& name, std::shared_ptr<const PoseGraph<Pose
     }
   });
   add("Covariance/terse", [=](benchmark::State& state) {
-    const auto factor = FactorAt(*graph, *values);
+    const auto factor = CholeskyAt(*graph, *values);
     const SelectedInverse<Pose::kDof> inverse(factor);
     for (auto _ : state) benchmark::DoNotOptimize(inverse.AllDiagonals());
   });

@@ -76,7 +76,7 @@ void CheckUsage(const CovarianceCommandOptions& options) {
 template <class Pose>
 struct Point {
   std::vector<Pose> T_world_body;
-  BlockCholesky<Pose::kDof> factor;
+  BlockCholesky<Pose::kDof> cholesky;
 };
 
 template <class Pose>
@@ -93,7 +93,7 @@ Point<Pose> SolvedPoint(const PoseGraph<Pose>& graph, const CovarianceCommandOpt
   if (!options.quiet) {
     if (!result.Converged()) std::cerr << "terse: warning: not converged: " << result.message << '\n';
   }
-  return {std::move(result.T_world_body), std::move(result.factor)};
+  return {std::move(result.T_world_body), std::move(result.cholesky)};
 }
 
 template <class Pose>
@@ -104,9 +104,9 @@ Point<Pose> FilePoint(const PoseGraph<Pose>& graph, const CovarianceCommandOptio
                                 " has no value in the file; --solve computes the values");
   }
   Point<Pose> point{ComputeInitialValues(graph, InitialValues::kFile), {}};
-  point.factor = FactorAt(graph, point.T_world_body);
+  point.cholesky = CholeskyAt(graph, point.T_world_body);
   // It bounds the squared distance of every pose from the minimum in its own standard deviations.
-  const double decrease = point.factor.NewtonDecrement();
+  const double decrease = point.cholesky.NewtonDecrement();
   if (decrease > 1 && !options.quiet) {
     std::cerr << "terse: warning: " << options.path << ": the values are not at the minimum, chi2 may fall by "
               << decrease << "; --solve optimises first\n";
@@ -223,7 +223,7 @@ void WriteCovariance(const PoseGraph<Pose>& graph, const CovarianceCommandOption
   // Relative covariances do not depend on it.
   const std::string undetermined = options.relative.empty() ? DescribeUndetermined(graph, point.T_world_body) : "";
   if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
-  const Marginals<Pose> marginals(graph, std::move(point.T_world_body), std::move(point.factor));
+  const Marginals<Pose> marginals(graph, std::move(point.T_world_body), std::move(point.cholesky));
   if (!options.joint && options.relative.empty()) {
     WriteMarginals<Pose>(marginals, graph, options);
     return;

@@ -1,4 +1,4 @@
-// What a threshold of compact pose SLAM does (Ila et al., IJRR 2017, Fig. 5 top).
+// What a threshold of compact pose SLAM does (Ila et al. 2017 Fig. 5 top).
 
 #include <cmath>
 #include <iostream>

@@ -30,7 +30,7 @@ struct TableOptions {
   bool json = false, quiet = false;
 };
 
-// Arablouei's settings: Table 1 and, for the gap, the published code.
+// Settings of Arablouei 2026: Table 1 and, for the gap, the published code.
 struct DataSet {
   std::string name;
   double step_tolerance;  // metres and radians

@@ -1,4 +1,4 @@
-// `terse table compact`: the tables and figures of Ila et al., IJRR 2017.
+// `terse table compact`: the tables and figures of Ila et al. 2017.
 
 #include <algorithm>
 #include <filesystem>
@@ -106,7 +106,7 @@ void RunTable(const Options& options) {
 void AddCompactTable(CLI::App& table) {
   auto options = std::make_shared<Options>();
   CLI::App* command = table.add_subcommand("compact",
-                                           "Compact pose SLAM (Ila et al., IJRR 2017): recovery, thresholds, times and "
+                                           "Compact pose SLAM (Ila et al. 2017): recovery, thresholds, times and "
                                            "errors of its strategies, Tables 1-4, "
                                            "and its Figs. 6, 8, 9");
   command

@@ -89,12 +89,12 @@ nlohmann::ordered_json ToJson(const Stats& stats) {
 
 namespace {
 
-const char* Name(FactorPath path) {
+const char* Name(CholeskyPath path) {
   switch (path) {
-    case FactorPath::kNone: return "none";
-    case FactorPath::kAppended: return "appended";
-    case FactorPath::kRankUpdate: return "rank_update";
-    case FactorPath::kRefactored: return "refactored";
+    case CholeskyPath::kNone: return "none";
+    case CholeskyPath::kAppended: return "appended";
+    case CholeskyPath::kRankUpdate: return "rank_update";
+    case CholeskyPath::kRefactored: return "refactored";
   }
   return "";
 }

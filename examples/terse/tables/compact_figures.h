@@ -1,5 +1,5 @@
 #pragma once
-// Figures 6, 8 and 9 of Ila et al., IJRR 2017, as CSV and SVG (docs/outputs.md).
+// Figures 6, 8 and 9 of Ila et al. 2017 as CSV and SVG (docs/outputs.md).
 
 #include <string>
 #include <vector>

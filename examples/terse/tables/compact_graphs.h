@@ -1,5 +1,5 @@
 #pragma once
-// The graphs of the tables of compact pose SLAM (Ila et al., IJRR 2017), each with what it is compared with.
+// The graphs of the tables of compact pose SLAM (Ila et al. 2017), each with what it is compared with.
 
 #include <optional>
 #include <string>

@@ -1,5 +1,5 @@
 #pragma once
-// Is compact pose SLAM conservative? Covariances of three systems over the same run (Ila et al., IJRR 2017, Fig. 6).
+// Is compact pose SLAM conservative? Covariances of three systems over the same run (Ila et al. 2017 Fig. 6).
 
 #include <string>
 #include <vector>

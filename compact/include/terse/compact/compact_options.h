@@ -28,11 +28,11 @@ struct CompactOptions {
   Strategy strategy = Strategy::kFpfl;
   // v. Sensor range per dimension of the displacement: metres, then radians.
   Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Constant(1);
-  // s: a pose counts as within range when every dimension is with more than this probability (Eq. 18).
+  // s: a pose counts as within range when every dimension is with more than this probability (Ila et al. 2017 Eq. 18).
   double probability = 0.1;
   // A pose is a candidate for a link when it is within range, or when the range meets the ellipsoid that holds the
   // displacement with this probability: a map that has drifted far knows no displacement well, and that is when it
-  // needs its loops. The probability of Eq. 18 then says in which order they are registered.
+  // needs its loops. The probability of that equation then says in which order they are registered.
   double plausible_quantile = 0.9999;
   // Registrations per pose, at most; at least 1. The most information that can be expected of one comes first.
   int max_registrations = 8;

@@ -1,12 +1,13 @@
 #pragma once
-// Compact pose SLAM: keeps the poses and links that carry information (Ila et al., IJRR 2017,
+// Compact pose SLAM: keeps the poses and links that carry information (Ila et al. 2017,
 // section 4, Algorithm 1; equation numbers are theirs, see docs/algorithms.md).
 //
 // For every new pose n:
 //  1. its odometry is concatenated over the poses dropped since the last kept one;
 //  2. kept poses that may be within sensor range of n, given what is known of the displacement, are candidates
 //     (distance.h);
-//  3. they are ranked by the information that registering them promises (information.h, Eq. 18) and registered, best
+//  3. they are ranked by the information that registering them promises (information.h, Ila et al. 2017 Eq. 18) and
+//  registered, best
 //     first, up to max_registrations; a link whose measured gain exceeds min_loop_gain is added, and the rest is
 //     evaluated again. Loops that came with n take the place of 2 and of the registration, and compete by their gain;
 //  4. n is kept if a loop closed, if nothing is in range, or if even the least informative possible link, the last kept
@@ -44,10 +45,10 @@ namespace terse {
 template <class Pose>
 class PoseIndex;
 
-// How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Eq. 24): chained to the kept pose before
-// them. kV2 (Eqs. 25-26): that chain's misfit at the next kept pose spread over it by its covariance; behind the last
-// kept pose as kV1, but where odometry went on from a dropped pose whose own chain has ended, from that one as
-// recovered.
+// How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Ila et al. 2017 Eq. 24): chained to the
+// kept pose before them. kV2 (Ila et al. 2017 Eqs. 25-26): that chain's misfit at the next kept pose spread over it by
+// its covariance; behind the last kept pose as kV1, but where odometry went on from a dropped pose whose own chain has
+// ended, from that one as recovered.
 enum class Recovery { kV0, kV1, kV2 };
 
 template <class Pose>

@@ -1,7 +1,7 @@
 #pragma once
 // The distance test: is one pose within sensor range of another, given what is known of their displacement?
 //
-// Ila et al., IJRR 2017, Eqs. 16-20. Displacement of n seen from i: [x y z angle] in 3D, [x y theta] in 2D; metres and
+// Ila et al. 2017 Eqs. 16-20. Displacement of n seen from i: [x y z angle] in 3D, [x y theta] in 2D; metres and
 // radians, in i's frame.
 
 #include "terse/compact/uncertain_pose.h"
@@ -41,13 +41,14 @@ Vector<Displacement<Pose>::kSize> DisplacementMean(const Pose& T_i_n, const Dist
 // trace and k = 8 L. Rotation: t = 2 tan(angle/2), L the largest eigenvalue, k = L/2. So where the angle is many
 // deviations from 0 and pi the variance is that of first order. At 0 (and at pi, for view directions) the gradient has
 // no direction and the angle is the length of a vector: there L is taken, and there is no step on the way. The
-// probabilities of Eq. 18 are then never below the true ones by more than docs/algorithms.md says. The angle's
-// covariances with the others are (1 - w) times those of first order. The variance never exceeds the trace of phi's.
+// probabilities of Ila et al. 2017 Eq. 18 are then never below the true ones by more than docs/algorithms.md says. The
+// angle's covariances with the others are (1 - w) times those of first order. The variance never exceeds the trace of
+// phi's.
 template <class Pose>
 Displacement<Pose> ComputeDisplacement(const UncertainPose<Pose>& T_i_n, const DistanceOptions& options = {});
 
-// Eq. 18 per dimension: the probability that |component| <= range, for a normal component. Angles wrap at
-// 2 pi: all of them are within a range of pi or more. The test passes when all are above a threshold.
+// Ila et al. 2017 Eq. 18 per dimension: the probability that |component| <= range, for a normal component. Angles wrap
+// at 2 pi: all of them are within a range of pi or more. The test passes when all are above a threshold.
 template <class Pose>
 Vector<Displacement<Pose>::kSize> RangeProbabilities(const Displacement<Pose>& displacement,
                                                      const Vector<Displacement<Pose>::kSize>& range);

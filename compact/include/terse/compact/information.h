@@ -1,5 +1,5 @@
 #pragma once
-// The information a link would add, in nats (Ila et al., IJRR 2017, Eq. 22).
+// The information a link would add, in nats (Ila et al. 2017 Eq. 22).
 
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"

@@ -1,5 +1,5 @@
 #pragma once
-// Thresholds of compact pose SLAM from a sample of a run (Ila et al., IJRR 2017, section 6).
+// Thresholds of compact pose SLAM from a sample of a run (Ila et al. 2017 section 6).
 
 #include <optional>
 

@@ -64,7 +64,7 @@ struct BatchResult {
   double log_determinant = 0;
   PhaseSeconds seconds;
   // The factor at T_world_body (variable = pose index), for covariances; empty if not positive definite.
-  BlockCholesky<Pose::kDof> factor;
+  BlockCholesky<Pose::kDof> cholesky;
   std::vector<FreeMotion> free_motions;  // what no measurement sees, if not positive definite
   std::vector<double> weights;           // with a robust kernel: by position in the graph's factors; those of `factor`
   bool Converged() const { return termination == Termination::kConverged; }
@@ -83,6 +83,6 @@ BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pos
 // The undamped factor at given values (variable = pose index). Throws UnobservableError if the system is singular,
 // NumericalError if it is not finite.
 template <class Pose>
-BlockCholesky<Pose::kDof> FactorAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body);
+BlockCholesky<Pose::kDof> CholeskyAt(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body);
 
 }  // namespace terse

@@ -10,7 +10,7 @@
 //
 // Update() changes the graph: affected are the fronts that hold a touched variable and all their ancestors; their
 // variables are ordered again (the newest last) and refactored, children that are not affected hand up their stored
-// update matrix. With everything affected this is batch factorisation (Ila et al. 2017, section 3; Kaess et al. 2012
+// update matrix. With everything affected this is batch factorisation (Ila et al. 2017 section 3; Kaess et al. 2012
 // for the tree).
 //
 // Cost of Update: symbolic and numeric work on the affected fronts only. Not thread-safe for writing; const
@@ -27,7 +27,7 @@
 namespace terse {
 
 // How changes came into the Cholesky factor.
-enum class FactorPath {
+enum class CholeskyPath {
   kNone,        // nothing was added or removed
   kAppended,    // new variables hang below what is there, which did not change
   kRankUpdate,  // rank-k update along the paths to the root
@@ -38,7 +38,7 @@ struct CholeskyReport {
   bool ok = false;
   int failed_variable = -1;      // where the matrix was found not to be positive definite
   std::vector<int> added_slots;  // one per added factor
-  FactorPath path = FactorPath::kNone;
+  CholeskyPath path = CholeskyPath::kNone;
   int fronts_updated = 0;         // by rank-k update
   int fronts = 0, variables = 0;  // refactored
   double flops = 0;               // sum of squared column counts
@@ -101,7 +101,7 @@ class BlockCholesky {
 
   // New values for the linear factors of slots 0, 1, ... on the present structure: numeric work only. damping (B *
   // Variables() scalars or empty) is added to the diagonal. If false, L is unusable until a Refactor succeeds.
-  void SetFactors(const std::vector<LinearFactor<B>>& factors);
+  void SetLinearFactors(const std::vector<LinearFactor<B>>& factors);
   [[nodiscard]] bool Refactor(const std::vector<double>& damping = {});
 
   // Back-substitution L' d = y from the roots. A subtree is skipped where no front changed and no separator
@@ -125,7 +125,7 @@ class BlockCholesky {
   const BlockSystem<B>& System() const { return system_; }
   int Variables() const { return system_.Variables(); }
   int Slots() const { return system_.Slots(); }
-  const LinearFactor<B>& FactorAt(int slot) const { return system_.FactorAt(slot); }
+  const LinearFactor<B>& LinearFactorAt(int slot) const { return system_.LinearFactorAt(slot); }
   const std::vector<int>& SlotsOf(int variable) const { return system_.SlotsOf(variable); }
 
   double LogDeterminant() const;   // ln det H

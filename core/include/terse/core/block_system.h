@@ -47,7 +47,7 @@ class BlockSystem {
   // Slots so far, free ones among them.
   int Slots() const { return static_cast<int>(factors_.size()); }
   // The variable `first` is -1 in a free slot.
-  const LinearFactor<B>& FactorAt(int slot) const { return factors_[static_cast<std::size_t>(slot)]; }
+  const LinearFactor<B>& LinearFactorAt(int slot) const { return factors_[static_cast<std::size_t>(slot)]; }
   const Normal& NormalAt(int slot) const { return normals_[static_cast<std::size_t>(slot)]; }
   // Slots of the living factors on a variable, ascending.
   const std::vector<int>& SlotsOf(int variable) const { return slots_of_[static_cast<std::size_t>(variable)]; }
@@ -67,7 +67,7 @@ class BlockSystem {
   // The slots of what was removed are free from now on, and the changes are remembered as those since that version.
   void Commit(const Undo& undo, std::uint64_t version_before) noexcept;
   // New linear factors for slots 0, 1, ..., on the same variables. Throws std::invalid_argument for others.
-  void SetFactors(const std::vector<LinearFactor<B>>& factors, int threads);
+  void SetLinearFactors(const std::vector<LinearFactor<B>>& factors, int threads);
 
   // What changed from one version to the present one, a slot once. Only so much is remembered as can be of use for
   // downdating covariances: absent if it was more, or longer ago.

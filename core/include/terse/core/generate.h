@@ -10,8 +10,9 @@
 
 namespace terse {
 
-// kEllipse: 170 poses over 72.29 m on two concentric 3D ellipses, semi-axes 10/6 m and 20/6 m (S, section 6).
-// kEllipseN: N laps of the 20/6 ellipse. kSphere, kTorus, kManhattan (2D), kGarage: as the public sets of that name.
+// kEllipse: 170 poses over 72.29 m on two concentric 3D ellipses, semi-axes 10/6 m and 20/6 m (Ila et al. 2017 section
+// 6). kEllipseN: N laps of the 20/6 ellipse. kSphere, kTorus, kManhattan (2D), kGarage: as the public sets of that
+// name.
 enum class Scene { kEllipse, kEllipseN, kSphere, kTorus, kManhattan, kGarage };
 // std::nullopt if unknown. Names as on the command line: ellipse, ellipse-n, sphere, torus, manhattan, garage.
 std::optional<Scene> SceneFromName(const std::string& name);

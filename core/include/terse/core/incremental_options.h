@@ -1,10 +1,10 @@
 #pragma once
 // How much an incremental step re-optimises, and what it reports.
 //
-// A step adds its factors to the block factor, asks the gate whether the map is optimised at all, and then carries the
-// Gauss-Newton step in one of two ways. All published variants are settings of these options (PolicyOptions).
-// Sources: Arablouei, "Efficient Incremental SLAM via Information-Guided and Selective Optimization" (gates, partial
-// optimisation; "A" below); Kaess et al., IJRR 2012 (estimate = linearisation point + d).
+// A step adds its factors to the Cholesky factor, asks the gate whether the map is optimised at all, and then carries
+// the Gauss-Newton step in one of two ways. All published variants are settings of these options (PolicyOptions).
+// Sources: Arablouei 2026, "Efficient Incremental SLAM via Information-Guided and Selective Optimization" (gates,
+// partial optimisation); Kaess et al. 2012 (estimate = linearisation point + d).
 
 #include <optional>
 #include <string>
@@ -20,16 +20,17 @@ namespace terse {
 // kOffset: estimate = linearisation point + d. Back-substitution reports every step in the estimate; poses whose d
 //   outgrew the linearisation are relinearised when the interval comes round.
 // kPoint: the estimate is the linearisation point. While any step exceeds the step tolerance, the poses move and are
-//   relinearised: all of them, or, if partial, those above it while the rest of the step is dropped (A, Eqs. 17-18).
-//   With the gate closed only the new poses take part, by their share of the full Gauss-Newton step.
+//   relinearised: all of them, or, if partial, those above it while the rest of the step is dropped (Arablouei 2026
+//   Eqs. 17-18). With the gate closed only the new poses take part, by their share of the full Gauss-Newton step.
 enum class Carry { kOffset, kPoint };
 
 // What has to exceed the gate's threshold for the map to be optimised in a step.
 enum class Gate {
   kNewtonDecrement,    // predicted decrease of chi2 that the estimate does not have yet; see DecreaseScale
   kMutualInformation,  // gain of the new factors about what was known, 1/2 ln |I + A Sigma A'|, nats
-  kLogDeterminant,  // eta_t - N_t / N_{t-1} eta_{t-1}, eta = 1/2 ln |H|, N scalars: A's published code, not its Eq. 6
-  kLoopClosure,     // a new relative factor between known poses that came in more than the threshold poses apart
+  kLogDeterminant,     // eta_t - N_t / N_{t-1} eta_{t-1}, eta = 1/2 ln |H|, N scalars: the published code of Arablouei
+                       // 2026, not its Eq. 6
+  kLoopClosure,        // a new relative factor between known poses that came in more than the threshold poses apart
   kAlways,
   kNever,
 };
@@ -60,13 +61,15 @@ struct IncrementalOptions {
   // change chi2 by more than this share of it. 0 is exact.
   double propagation_tolerance = 1e-7;
 
-  // Gauss-Newton iterations in a step (A's tau_GN, 10 there). kOffset: more than one only after a far loop.
+  // Gauss-Newton iterations in a step (tau_GN of Arablouei 2026, 10 there). kOffset: more than one only after a far
+  // loop.
   int max_iterations = 2;
-  // kPoint: the step tolerance (A's tau_d).
+  // kPoint: the step tolerance (tau_d of Arablouei 2026).
   double step_metres = 1e-3;
   double step_radians = 1e-3;
   // kPoint: only the poses that the last iteration moved, and their neighbours, take part in the next; else all do.
-  // Without neighbours as in A's published code: then a pose that has settled stays until the next step.
+  // Without neighbours as in the code published with Arablouei 2026: then a pose that has settled stays until the next
+  // step.
   bool partial = false;
   bool partial_neighbours = true;
   // kPoint: a step that raises chi2 is replaced by the full Gauss-Newton step, then shortened until it does not.
@@ -95,7 +98,8 @@ struct IncrementalOptions {
 
   // kOffset: fill in StepReport::actual_decrease (evaluates all factors twice, outside the time that is reported).
   bool report_cost = false;
-  // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as A's code does).
+  // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as the code published with
+  // Arablouei 2026 does).
   bool report_paper_flops = false;
 
   LogSink log;  // log.h
@@ -107,15 +111,16 @@ double DefaultThreshold(Gate gate);
 // What is wrong with the options, or "".
 std::string FindDefect(const IncrementalOptions& options);
 
-// A's variants as published: no guard, unit anchor; gate threshold and step tolerance are per data set.
+// The variants of Arablouei 2026 as published: no guard, unit anchor; gate threshold and step tolerance are per data
+// set.
 enum class Policy { kDefault, kGn1, kGni, kGniLcg, kGniIgg, kGniSpo, kGniSpoLcg, kGniSpoIgg };
 IncrementalOptions PolicyOptions(Policy policy);
 
 struct StepReport {
-  std::vector<FactorId> factor_ids;     // one per added factor
-  FactorPath path = FactorPath::kNone;  // of the added and removed factors
-  int fronts_updated = 0;               // by rank-k update
-  int fronts_refactored = 0;            // all iterations
+  std::vector<FactorId> factor_ids;         // one per added factor
+  CholeskyPath path = CholeskyPath::kNone;  // of the added and removed factors
+  int fronts_updated = 0;                   // by rank-k update
+  int fronts_refactored = 0;                // all iterations
   int variables_refactored = 0;
   bool gate_open = true;
   double gate_value = 0;  // in the gate's unit

@@ -1,5 +1,5 @@
 #pragma once
-// Incremental optimisation of a growing pose graph (Arablouei 2026, Algorithm 1, with the gates and policies of
+// Incremental optimisation of a growing pose graph (Arablouei 2026 Algorithm 1, with the gates and policies of
 // incremental_options.h). An update
 //
 //   1. is checked and planned: new poses get values, new factors are linearised, the gauge is found (gauge.h);
@@ -74,9 +74,9 @@ class IncrementalSolver {
   // With which a factor takes part now: 1 without a kernel and for what is no loop. Throws std::invalid_argument if the
   // factor is unknown.
   double WeightOf(FactorId id) const;
-  double LogDeterminant() const { return Factor().LogDeterminant(); }  // ln det H at the linearisation point
+  double LogDeterminant() const { return Cholesky().LogDeterminant(); }  // ln det H at the linearisation point
   // The factor (variable = pose index) at LinearizationPoints().
-  const BlockCholesky<Pose::kDof>& Factor() const;
+  const BlockCholesky<Pose::kDof>& Cholesky() const;
   const std::vector<Pose>& LinearizationPoints() const;
   const PhaseSeconds& Seconds() const;
   // What the anchor on the first pose holds; and what the absolute measurements so far leave undetermined, in words

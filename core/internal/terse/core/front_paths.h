@@ -166,7 +166,7 @@ void SolveAll(const FrontTree<B>& tree, const std::vector<RightHandSide<B>>& E, 
 template <int B>
 void SolveDense(const FrontTree<B>& tree, std::vector<double>& X, int stride);
 
-// L' d = y on these fronts alone: their share of the full Gauss-Newton step (Arablouei 2026, Eq. 15, which holds for
+// L' d = y on these fronts alone: their share of the full Gauss-Newton step (Arablouei 2026 Eq. 15, which holds for
 // sets that are closed under ancestors). Calls set(variable, d) as it goes; solution: all d, as they are set.
 template <int B, class Set>
 void SolveOn(const FrontPaths<B>& paths, const std::vector<double>& solution, const Set& set) {

@@ -1,5 +1,5 @@
 #pragma once
-// The work model of A (Arablouei, "Efficient Incremental SLAM via Information-Guided and Selective Optimization") as
+// The work model of Arablouei 2026 ("Efficient Incremental SLAM via Information-Guided and Selective Optimization") as
 // its published code counts it, for comparison with its tables only. The code orders the scalars of the whole graph
 // anew at every increment, with SYMAMD and a postorder of the elimination tree, and takes for kappa_i the entries in
 // row i of L, where i is the scalar's number in the graph although L's rows are in elimination order. Costs: sum of

@@ -5,12 +5,13 @@
 
 namespace terse {
 
-// How the kept blocks came up to date (Ila et al., IJRR 2017, section 3.4).
+// How the kept blocks came up to date (Ila et al. 2017 section 3.4).
 enum class CovariancePath {
   kNone,        // nothing had changed
   kPropagated,  // appended poses: no older block changes, new ones follow by composition
-  kDowndated,   // Woodbury: factors that came or went at fixed linearisation points, or few new points (Eqs. 14-15)
-  kRecursion,   // all blocks anew from the factor (Eqs. 9-13)
+  kDowndated,   // Woodbury: factors that came or went at fixed linearisation points, or few new points (Ila et al. 2017
+                // Eqs. 14-15)
+  kRecursion,   // all blocks anew from the Cholesky factor (Ila et al. 2017 Eqs. 9-13)
 };
 const char* Name(CovariancePath path);
 

@@ -60,7 +60,7 @@ class IncrementalMarginals final : public PoseMarginals<Pose> {
   int IndexOf(PoseId id) const override { return solver_->Graph().IndexOf(id); }
   Pose ValueAt(int index) const override { return solver_->EstimateAt(index); }
   Pose PointAt(int index) const override { return solver_->LinearizationPoints()[static_cast<std::size_t>(index)]; }
-  const BlockCholesky<Pose::kDof>& FactorOfAll() const override { return solver_->Factor(); }
+  const BlockCholesky<Pose::kDof>& CholeskyOfAll() const override { return solver_->Cholesky(); }
   std::vector<Jacobian> DiagonalBlocks(const std::vector<int>& indices) const override;
   std::vector<Jacobian> AllDiagonalBlocks() const override;
   std::vector<Jacobian> ColumnBlocks(int of, const std::vector<int>& indices) const override;

@@ -27,8 +27,8 @@ class Marginals final : public PoseMarginals<Pose> {
   Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body);
   // Takes a factor at hand (variable = pose index), as BatchResult holds it; an IncrementalSolver's is linearised at
   // its LinearizationPoints(), which then have to be given too. Throws std::invalid_argument if the sizes differ.
-  Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body, BlockCholesky<Pose::kDof> factor);
-  Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body, BlockCholesky<Pose::kDof> factor,
+  Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body, BlockCholesky<Pose::kDof> cholesky);
+  Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_world_body, BlockCholesky<Pose::kDof> cholesky,
             std::vector<Pose> linearization_points);
 
  private:
@@ -38,14 +38,14 @@ class Marginals final : public PoseMarginals<Pose> {
   Pose PointAt(int index) const override {
     return points_.empty() ? ValueAt(index) : points_[static_cast<std::size_t>(index)];
   }
-  const BlockCholesky<Pose::kDof>& FactorOfAll() const override { return *factor_; }
+  const BlockCholesky<Pose::kDof>& CholeskyOfAll() const override { return *cholesky_; }
   std::vector<Jacobian> DiagonalBlocks(const std::vector<int>& indices) const override;
   std::vector<Jacobian> AllDiagonalBlocks() const override { return inverse_.AllDiagonals(); }
 
   std::unordered_map<std::int64_t, int> index_;
   std::vector<Pose> T_world_body_;
   std::vector<Pose> points_;  // where the factor is linearised; empty: at the values
-  std::unique_ptr<BlockCholesky<Pose::kDof>> factor_;
+  std::unique_ptr<BlockCholesky<Pose::kDof>> cholesky_;
   SelectedInverse<Pose::kDof> inverse_;
 };
 

@@ -53,7 +53,7 @@ class PoseMarginals {
   virtual Pose ValueAt(int index) const = 0;
   // Where H is linearised: covariances of several poses belong together there only.
   virtual Pose PointAt(int index) const { return ValueAt(index); }
-  virtual const BlockCholesky<B>& FactorOfAll() const = 0;
+  virtual const BlockCholesky<B>& CholeskyOfAll() const = 0;
   virtual std::vector<Jacobian> DiagonalBlocks(const std::vector<int>& indices) const = 0;
   virtual std::vector<Jacobian> AllDiagonalBlocks() const = 0;
   virtual std::vector<Jacobian> ColumnBlocks(int of, const std::vector<int>& indices) const;
@@ -62,7 +62,7 @@ class PoseMarginals {
   std::vector<int> IndicesOf(const std::vector<PoseId>& ids) const;
 };
 
-// Covariance of T_a_b from the joint blocks of a and b (Ila et al., IJRR 2017, Eqs. 16-17): body frame, translation
+// Covariance of T_a_b from the joint blocks of a and b (Ila et al. 2017 Eqs. 16-17): body frame, translation
 // first.
 template <class Pose>
 typename Pose::Jacobian RelativeCovariance(const Pose& T_a_b, const typename Pose::Jacobian& Sigma_aa,

@@ -1,7 +1,7 @@
 #pragma once
 // Diagonal blocks of H^-1 out of the factor, without forming H^-1.
 //
-// Recursion (Ila et al., IJRR 2017, Eqs. 9-13, on fronts): top-down, with K = L_SP L_PP^-1 and Sigma_SS taken from
+// Recursion (Ila et al. 2017 Eqs. 9-13, on fronts): top-down, with K = L_SP L_PP^-1 and Sigma_SS taken from
 // the parent's block,
 //   Sigma_PP = L_PP^-T L_PP^-1 + K' Sigma_SS K,   Sigma_SP = -Sigma_SS K.
 // A block is good as long as no front on its path to the root has changed since (Front::stamp): a query computes what
@@ -32,7 +32,7 @@ template <int B>
 class SelectedInverse {
  public:
   // Blocks of fronts that queries leave for later ones take at most so many bytes; the least recently used go first.
-  explicit SelectedInverse(const BlockCholesky<B>& factor, std::size_t cache_bytes = std::size_t{256} << 20);
+  explicit SelectedInverse(const BlockCholesky<B>& cholesky, std::size_t cache_bytes = std::size_t{256} << 20);
   ~SelectedInverse();
 
   // Sigma_vv.
@@ -65,7 +65,7 @@ class SelectedInverse {
   BlockPointer Front(int front, Query& query) const;
   void Evict() const;
 
-  const BlockCholesky<B>* factor_;
+  const BlockCholesky<B>* cholesky_;
   std::size_t capacity_;
   mutable std::mutex mutex_;
   mutable std::map<int, BlockPointer> cache_;
