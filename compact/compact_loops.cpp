@@ -7,13 +7,14 @@
 #include "compact_pose_slam_parts.h"
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
+#include "terse/core/at.h"
 #include "terse/core/log_message.h"
 
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // The record of a decision stays small however many poses were in range: what was tried, and the best of the others.
 template <class Pose>

@@ -8,14 +8,15 @@
 #include <unordered_map>
 
 #include "compact_pose_slam_parts.h"
+#include "terse/core/at.h"
 #include "terse/core/error.h"
 #include "terse/core/require_optimum.h"
 
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 std::string Text(PoseId id) { return "pose " + std::to_string(id.value); }
 

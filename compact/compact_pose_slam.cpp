@@ -9,6 +9,7 @@
 #include "compact_pose_slam_parts.h"
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
+#include "terse/core/at.h"
 #include "terse/core/chi_square.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
@@ -16,8 +17,8 @@
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // A link that is supported finds its support among the last refused ones: they come from poses close behind each other,
 // of which each may have had several. Failures are remembered for the steps in which their neighbours come up.

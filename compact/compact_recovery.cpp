@@ -15,12 +15,13 @@
 #include <stdexcept>
 
 #include "compact_pose_slam_parts.h"
+#include "terse/core/at.h"
 
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // P.
 template <class Pose>

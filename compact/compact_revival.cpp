@@ -7,12 +7,13 @@
 #include <Eigen/Eigenvalues>
 
 #include "compact_pose_slam_parts.h"
+#include "terse/core/at.h"
 
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 }  // namespace
 

@@ -1,4 +1,5 @@
 #include "terse/compact/graph_replay.h"
+#include "terse/core/at.h"
 
 #include <algorithm>
 #include <cmath>
@@ -13,8 +14,8 @@
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // A sensor reaches a little beyond the longest of its links, and sees things from the side too.
 constexpr double kMargin = 1.5, kLeastAngle = 1.0;

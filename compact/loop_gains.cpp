@@ -1,4 +1,5 @@
 #include "loop_gains.h"
+#include "terse/core/at.h"
 
 #include <Eigen/Cholesky>
 #include <queue>
@@ -7,8 +8,8 @@
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 }  // namespace
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "terse/compact/innovation.h"
+#include "terse/core/at.h"
 #include "terse/core/chi_square.h"
 #include "terse/core/error.h"
 #include "terse/core/robust.h"
@@ -13,8 +14,8 @@
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // Gains below this are not told apart.
 constexpr double kLeastGain = 0.05;

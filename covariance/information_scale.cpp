@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "information_kinds.h"
+#include "terse/core/at.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/chi_square.h"
 #include "terse/core/error.h"
@@ -20,10 +21,10 @@
 namespace terse {
 namespace {
 
+using internal::At;
 using internal::BlockSquares;
 using internal::ProbeTerm;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 constexpr double kCut = 4;            // expected squares, beyond which a residual counts no more
 constexpr double kStandsOut = 9;      // times the other loops' squares: loses weight

@@ -8,13 +8,14 @@
 #include <numeric>
 #include <sstream>
 
+#include "terse/core/at.h"
 #include "terse/core/block_cholesky.h"
 
 namespace terse {
 namespace {
 
+using internal::At;
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 constexpr size_t kMaxHeld = 8;  // poses at which the factorisation may fail before the search stops
 // Shares of the scale of a direction's information: below the first it is rounding in a sum of squares, below the
@@ -287,11 +288,7 @@ class Search {
   // |A v|^2.
   double InformationAbout(const Eigen::VectorXd& v) const {
     double sum = 0;
-    for (const auto& f : system_) {
-      Vector<B> moved = f.A_first * v.segment<B>(Eigen::Index{B} * f.first);
-      if (f.second >= 0) moved += f.A_second * v.segment<B>(Eigen::Index{B} * f.second);
-      sum += moved.squaredNorm();
-    }
+    for (const auto& f : system_) sum += ResidualChange(f, v).squaredNorm();
     return sum;
   }
 

@@ -6,6 +6,9 @@
 #include <cmath>
 #include <new>
 #include <stdexcept>
+#include <utility>
+
+#include "terse/core/at.h"
 
 namespace terse::internal {
 namespace {
@@ -111,97 +114,126 @@ bool WorthMerging(long pivots, long separators, long zeros) {
   return share < 0.05;
 }
 
-}  // namespace
-
-std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last) {
-  const size_t n = static_cast<size_t>(variables);
-  const std::vector<int> order = Order(variables, cliques, order_last);
-  std::vector<int> position(n);
-  for (size_t k = 0; k < n; ++k) position[static_cast<size_t>(order[k])] = static_cast<int>(k);
-
-  // Each clique waits at its earliest variable, each finished front at its earliest separator.
-  std::vector<int> clique_next(static_cast<size_t>(cliques.Count()), -1), clique_first(n, -1);
-  for (int c = cliques.Count() - 1; c >= 0; --c) {
-    int earliest = variables;
-    for (int k = cliques.start[static_cast<size_t>(c)]; k < cliques.start[static_cast<size_t>(c) + 1]; ++k) {
-      earliest = std::min(earliest, position[static_cast<size_t>(cliques.members[static_cast<size_t>(k)])]);
-    }
-    if (earliest == variables) continue;
-    clique_next[static_cast<size_t>(c)] = clique_first[static_cast<size_t>(earliest)];
-    clique_first[static_cast<size_t>(earliest)] = c;
+// Lists of numbers that wait at a place, each in one list.
+struct WaitingLists {
+  std::vector<int> first, next;  // -1: none
+  WaitingLists(size_t places, size_t numbers) : first(places, -1), next(numbers, -1) {}
+  void Put(int number, int place) { next[At(number)] = std::exchange(first[At(place)], number); }
+  template <class Visit>
+  void ForEach(int place, const Visit& visit) const {
+    for (int number = first[At(place)]; number >= 0; number = next[At(number)]) visit(number);
   }
-  std::vector<int> front_next(n, -1), front_first(n, -1);  // fronts are named by their last pivot
-  std::vector<WorkFront> fronts(n);
-  std::vector<int> mark(n, -1);
-  for (int k = 0; k < variables; ++k) {
-    const size_t at = static_cast<size_t>(k);
-    WorkFront& front = fronts[at];
-    mark[at] = k;
-    const auto add = [&](int other) {
-      if (mark[static_cast<size_t>(other)] == k) return;
-      mark[static_cast<size_t>(other)] = k;
-      front.separators.push_back(other);
-    };
-    for (int c = clique_first[at]; c >= 0; c = clique_next[static_cast<size_t>(c)]) {
-      for (int m = cliques.start[static_cast<size_t>(c)]; m < cliques.start[static_cast<size_t>(c) + 1]; ++m) {
-        add(position[static_cast<size_t>(cliques.members[static_cast<size_t>(m)])]);
-      }
-    }
-    std::vector<int> children;
-    for (int f = front_first[at]; f >= 0; f = front_next[static_cast<size_t>(f)]) {
-      children.push_back(f);
-      for (const int other : fronts[static_cast<size_t>(f)].separators) add(other);
-    }
-    std::sort(front.separators.begin(), front.separators.end());
-    front.pivots = {k};
-    // Best candidates first: the child with the largest separator adds the fewest zeros per pivot.
-    std::sort(children.begin(), children.end(), [&](int a, int b) {
-      const size_t size_a = fronts[static_cast<size_t>(a)].separators.size();
-      const size_t size_b = fronts[static_cast<size_t>(b)].separators.size();
-      return size_a != size_b ? size_a > size_b : a < b;
-    });
-    for (const int f : children) {
-      WorkFront& child = fronts[static_cast<size_t>(f)];
-      const long child_pivots = static_cast<long>(child.pivots.size());
-      const long added =
-          child_pivots * static_cast<long>(front.pivots.size() + front.separators.size() - child.separators.size());
-      const long zeros = front.zeros + child.zeros + added;
-      if (!WorthMerging(child_pivots + static_cast<long>(front.pivots.size()),
-                        static_cast<long>(front.separators.size()), zeros))
-        continue;
-      front.zeros = zeros;
-      child.pivots.insert(child.pivots.end(), front.pivots.begin(), front.pivots.end());
-      front.pivots = std::move(child.pivots);
-      child = WorkFront();
-    }
-    if (!front.separators.empty()) {
-      const size_t up = static_cast<size_t>(front.separators.front());
-      front_next[at] = front_first[up];
-      front_first[up] = k;
+};
+
+class Elimination {
+ public:
+  Elimination(const Cliques& cliques, std::vector<int> order)
+      : cliques_(cliques),
+        order_(std::move(order)),
+        position_(order_.size()),
+        waiting_cliques_(order_.size(), At(cliques.Count())),
+        waiting_fronts_(order_.size(), order_.size()),
+        fronts_(order_.size()),
+        mark_(order_.size(), -1) {
+    for (size_t k = 0; k < order_.size(); ++k) position_[At(order_[k])] = static_cast<int>(k);
+    for (int c = cliques.Count() - 1; c >= 0; --c) {
+      int earliest = Variables();
+      ForEachMember(c, [&](int k) { earliest = std::min(earliest, k); });
+      if (earliest < Variables()) waiting_cliques_.Put(c, earliest);
     }
   }
+  void Run() {
+    for (int k = 0; k < Variables(); ++k) EliminateNext(k);
+  }
+  std::vector<SymbolicFront> Fronts() const;
 
-  // Number the surviving fronts and name variables again.
-  std::vector<int> front_of(n, -1);
+ private:
+  int Variables() const { return static_cast<int>(order_.size()); }
+  // visit(position in the order).
+  template <class Visit>
+  void ForEachMember(int clique, const Visit& visit) const {
+    for (int m = cliques_.start[At(clique)]; m < cliques_.start[At(clique) + 1]; ++m) {
+      visit(position_[At(cliques_.members[At(m)])]);
+    }
+  }
+  void EliminateNext(int k);
+  void MergeChildren(std::vector<int>& children, WorkFront& front);
+
+  const Cliques& cliques_;
+  std::vector<int> order_, position_;  // variable by position, position by variable
+  WaitingLists waiting_cliques_;       // at their earliest variable
+  WaitingLists waiting_fronts_;        // named by their last pivot, at their earliest separator
+  std::vector<WorkFront> fronts_;
+  std::vector<int> mark_;
+};
+
+// The front of a variable alone, and what of the fronts below joins it.
+void Elimination::EliminateNext(int k) {
+  WorkFront& front = fronts_[At(k)];
+  mark_[At(k)] = k;
+  const auto add = [&](int other) {
+    if (std::exchange(mark_[At(other)], k) != k) front.separators.push_back(other);
+  };
+  waiting_cliques_.ForEach(k, [&](int c) { ForEachMember(c, add); });
+  std::vector<int> children;
+  waiting_fronts_.ForEach(k, [&](int f) {
+    children.push_back(f);
+    for (const int other : fronts_[At(f)].separators) add(other);
+  });
+  std::sort(front.separators.begin(), front.separators.end());
+  front.pivots = {k};
+  MergeChildren(children, front);
+  if (!front.separators.empty()) waiting_fronts_.Put(k, front.separators.front());
+}
+
+void Elimination::MergeChildren(std::vector<int>& children, WorkFront& front) {
+  // Best candidates first: the child with the largest separator adds the fewest zeros per pivot.
+  std::sort(children.begin(), children.end(), [&](int a, int b) {
+    const size_t size_a = fronts_[At(a)].separators.size(), size_b = fronts_[At(b)].separators.size();
+    return size_a != size_b ? size_a > size_b : a < b;
+  });
+  for (const int f : children) {
+    WorkFront& child = fronts_[At(f)];
+    const long child_pivots = static_cast<long>(child.pivots.size());
+    const long added =
+        child_pivots * static_cast<long>(front.pivots.size() + front.separators.size() - child.separators.size());
+    const long zeros = front.zeros + child.zeros + added;
+    const long pivots = child_pivots + static_cast<long>(front.pivots.size());
+    if (!WorthMerging(pivots, static_cast<long>(front.separators.size()), zeros)) continue;
+    front.zeros = zeros;
+    child.pivots.insert(child.pivots.end(), front.pivots.begin(), front.pivots.end());
+    front.pivots = std::move(child.pivots);
+    child = WorkFront();
+  }
+}
+
+// Numbers the fronts that are left, and names variables as they were.
+std::vector<SymbolicFront> Elimination::Fronts() const {
+  std::vector<int> front_of(order_.size(), -1);
   std::vector<SymbolicFront> out;
-  for (WorkFront& work : fronts) {
+  for (const WorkFront& work : fronts_) {
     if (work.pivots.empty()) continue;
     SymbolicFront front;
     for (const int k : work.pivots) {
-      front_of[static_cast<size_t>(k)] = static_cast<int>(out.size());
-      front.pivots.push_back(order[static_cast<size_t>(k)]);
-      for (int c = clique_first[static_cast<size_t>(k)]; c >= 0; c = clique_next[static_cast<size_t>(c)])
-        front.cliques.push_back(c);
+      front_of[At(k)] = static_cast<int>(out.size());
+      front.pivots.push_back(order_[At(k)]);
+      waiting_cliques_.ForEach(k, [&](int c) { front.cliques.push_back(c); });
     }
-    for (const int k : work.separators) front.separators.push_back(order[static_cast<size_t>(k)]);
+    for (const int k : work.separators) front.separators.push_back(order_[At(k)]);
     out.push_back(std::move(front));
   }
   for (SymbolicFront& front : out) {
-    if (!front.separators.empty()) {
-      front.parent = front_of[static_cast<size_t>(position[static_cast<size_t>(front.separators.front())])];
-    }
+    if (!front.separators.empty()) front.parent = front_of[At(position_[At(front.separators.front())])];
   }
   return out;
+}
+
+}  // namespace
+
+std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last) {
+  Elimination elimination(cliques, Order(variables, cliques, order_last));
+  elimination.Run();
+  return elimination.Fronts();
 }
 
 }  // namespace terse::internal

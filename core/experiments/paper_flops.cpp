@@ -1,4 +1,5 @@
 #include "terse/core/paper_flops.h"
+#include "terse/core/at.h"
 
 #include <colamd.h>
 
@@ -11,7 +12,6 @@ namespace terse::internal {
 namespace {
 
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // A symmetric pattern by columns, both triangles, rows ascending.
 struct Pattern {

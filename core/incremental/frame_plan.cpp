@@ -5,13 +5,13 @@
 #include <set>
 
 #include "incremental/update_plan.h"
+#include "terse/core/at.h"
 #include "terse/core/frame_alignment.h"
 
 namespace terse::internal {
 namespace {
 
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // The gauge is found anew when so many more absolute measurements have come, as a share of those there were: what they
 // determine changes with their number, and finding it takes all of them.

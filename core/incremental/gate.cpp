@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "terse/core/at.h"
 #include "terse/core/state_members.h"
 
 namespace terse::internal {
 namespace {
 
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // ln |H_nn| of the poses from `first_new` on, given all others.
 template <int B>
@@ -60,15 +60,17 @@ bool ClosesLoop(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& ma
 }  // namespace
 
 template <class Pose>
-void UpdateGate<Pose>::Decide(const GraphUpdate<Pose>& update, const UpdatePlan<Pose>& plan, const Before& before,
-                              bool is_deferred, bool is_due, const LinearizedGraph<Pose>& map,
-                              const IncrementalOptions& options, StepReport& report) {
+void UpdateGate<Pose>::Decide(const News& news, StepContext<Pose>& step) {
+  const LinearizedGraph<Pose>& map = step.map;
+  const IncrementalOptions& options = step.options;
+  StepReport& report = step.report;
   const double log_det = map.Cholesky().LogDeterminant();
   const int variables = map.Cholesky().Variables();
-  if (before.variables > 0) {
-    const double conditional =
-        update.poses.empty() ? 0 : ConditionalLogDeterminant(plan.changes.added, before.variables, variables);
-    report.gain_nats = 0.5 * (log_det - before.log_determinant - conditional);
+  if (news.before.variables > 0) {
+    const double conditional = news.update.poses.empty() ? 0
+                                                         : ConditionalLogDeterminant(news.plan.changes.added,
+                                                                                     news.before.variables, variables);
+    report.gain_nats = 0.5 * (log_det - news.before.log_determinant - conditional);
   }
   const double remaining = map.RemainingDecrease();
   report.predicted_decrease = remaining;
@@ -88,7 +90,7 @@ void UpdateGate<Pose>::Decide(const GraphUpdate<Pose>& update, const UpdatePlan<
       report.gate_value = 0.5 * log_det - ratio * eta_;
       break;
     }
-    case Gate::kLoopClosure: report.gate_value = ClosesLoop(update, map, options.gate_threshold) ? 1 : 0; break;
+    case Gate::kLoopClosure: report.gate_value = ClosesLoop(news.update, map, options.gate_threshold) ? 1 : 0; break;
     case Gate::kAlways:
     case Gate::kNever: break;
   }
@@ -100,11 +102,13 @@ void UpdateGate<Pose>::Decide(const GraphUpdate<Pose>& update, const UpdatePlan<
     case Gate::kNever: report.gate_open = false; break;
     case Gate::kNewtonDecrement:
       // The linear decrease does not see what relinearisation would find.
-      report.gate_open = report.gate_value > options.gate_threshold || is_deferred || is_due;
+      report.gate_open =
+          report.gate_value > options.gate_threshold || news.is_deferred || step.relinearization.IsDue(map, options);
       break;
     default:
       // With the gauge's anchor the determinant changes for another reason.
-      report.gate_open = report.gate_value > options.gate_threshold || is_deferred || !plan.changes.replaced.empty();
+      report.gate_open =
+          report.gate_value > options.gate_threshold || news.is_deferred || !news.plan.changes.replaced.empty();
   }
 }
 

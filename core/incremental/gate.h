@@ -2,6 +2,7 @@
 // What the new factors are worth, and whether the map is optimised for them (Arablouei 2026; the values are in
 // docs/algorithms.md).
 
+#include "incremental/steps.h"
 #include "incremental/update_plan.h"
 
 namespace terse::internal {
@@ -18,11 +19,16 @@ class UpdateGate {
   static Before Look(const LinearizedGraph<Pose>& map) {
     return {map.Cholesky().LogDeterminant(), map.Cholesky().Variables()};
   }
-  // Fills in the report's gain, predicted decrease, gate value and verdict; `plan` holds the linear factors that came.
-  // Whatever its value, the gate opens for what earlier steps left over (is_deferred) and for relinearisation that is
-  // due, as far as it looks at the map at all.
-  void Decide(const GraphUpdate<Pose>& update, const UpdatePlan<Pose>& plan, const Before& before, bool is_deferred,
-              bool is_due, const LinearizedGraph<Pose>& map, const IncrementalOptions& options, StepReport& report);
+  // What is news to the gate: an update that has been added to the map.
+  struct News {
+    const GraphUpdate<Pose>& update;
+    const UpdatePlan<Pose>& plan;  // with the linear factors that came
+    Before before;
+    bool is_deferred = false;  // earlier steps left work over
+  };
+  // Fills in the report's gain, predicted decrease, gate value and verdict. Whatever its value, the gate opens for what
+  // earlier steps left over and for relinearisation that is due, as far as it looks at the map at all.
+  void Decide(const News& news, StepContext<Pose>& step);
 
   template <class Archive>
   void Serialize(Archive& archive);

@@ -103,7 +103,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   parts_->Add(update, plan, options_, report);
   judge.Admit(plan, step);
   const double minimum_after = map.MinimumCost();
-  gate.Decide(update, plan, before, is_deferred, relinearization.IsDue(map, options_), map, options_, report);
+  gate.Decide({update, plan, before, is_deferred}, step);
   const bool report_cost = options_.report_cost && options_.carry == Carry::kOffset;
   if (report_cost) report.actual_decrease = parts_->TimedChi2(report);
   const int new_poses = static_cast<int>(update.poses.size());

@@ -200,10 +200,7 @@ void LoopJudge<Pose>::AddContestants(Loops& contest, const Map& map) const {
   const Loop& loop = contest[0];
   const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(loop.z, loop.z);
   const std::vector<double> x = SolveBackward<B>(map.Cholesky().Tree(), loop.z, S.llt().solve(loop.residual));
-  const auto moved = [&](const LinearFactor<B>& f) -> Vector<B> {
-    return f.A_first * Eigen::Map<const Vector<B>>(x.data() + static_cast<size_t>(f.first) * B) +
-           f.A_second * Eigen::Map<const Vector<B>>(x.data() + static_cast<size_t>(f.second) * B);
-  };
+  const auto moved = [&](const LinearFactor<B>& f) { return ResidualChange(f, x); };
   std::vector<std::pair<double, FactorId>> against, along;
   for (const Parked& parked : parked_) {
     if (parked.id == loop.id) continue;

@@ -5,6 +5,7 @@
 
 #include "incremental/steps.h"
 #include "support/stopwatch.h"
+#include "terse/core/at.h"
 #include "terse/core/log_message.h"
 #include "terse/core/paper_flops.h"
 
@@ -12,7 +13,6 @@ namespace terse::internal {
 namespace {
 
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 // A rise by less is rounding.
 constexpr double kRounding = 1e-12;

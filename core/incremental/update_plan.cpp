@@ -7,12 +7,12 @@
 #include <stdexcept>
 
 #include "support/disjoint_sets.h"
+#include "terse/core/at.h"
 
 namespace terse::internal {
 namespace {
 
 using std::size_t;
-constexpr size_t At(int i) { return static_cast<size_t>(i); }
 
 template <class Pose>
 void Validate(const GraphUpdate<Pose>& update, const PoseGraph<Pose>& graph) {

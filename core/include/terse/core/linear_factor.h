@@ -16,6 +16,17 @@ struct LinearFactor {
   Vector<B> residual = Vector<B>::Zero();
 };
 
+// A_first d_first + A_second d_second: what the perturbations d, B scalars per variable, do to the residual.
+template <int B, class Scalars>
+Vector<B> ResidualChange(const LinearFactor<B>& f, const Scalars& d) {
+  const auto block = [&](int v) {
+    return Eigen::Map<const Vector<B>>(d.data() + static_cast<std::size_t>(v) * static_cast<std::size_t>(B));
+  };
+  Vector<B> change = f.A_first * block(f.first);
+  if (f.second >= 0) change += f.A_second * block(f.second);
+  return change;
+}
+
 // Linearises at the given values. `T_world_second` is ignored by priors.
 template <class Pose>
 LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int second, const Pose& T_world_first,

@@ -5,9 +5,9 @@
 #include <cstdint>
 #include <vector>
 
-namespace terse::internal {
+#include "terse/core/at.h"
 
-constexpr std::size_t At(int i) { return static_cast<std::size_t>(i); }
+namespace terse::internal {
 
 // update += W W': a rank-k update that has not been worked into it yet. W has a row per scalar of the first
 // `separators` separators and one for the right-hand side.
