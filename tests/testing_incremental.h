@@ -8,6 +8,8 @@
 
 namespace terse::testing {
 
+// Exact back-substitution. Runs whose gates differ have other linearisation points all the same: to compare their
+// estimates, iterate to rest (Carry::kPoint with step tolerances of 1e-10).
 inline IncrementalOptions Exact() {
   IncrementalOptions options;
   options.propagation_tolerance = 0;

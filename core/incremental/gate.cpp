@@ -105,7 +105,8 @@ void UpdateGate<Pose>::Decide(const News& news, StepContext<Pose>& step) {
       report.gate_open =
           report.gate_value > options.gate_threshold || news.is_deferred || step.relinearization.IsDue(map, options);
       break;
-    default:
+    case Gate::kMutualInformation:
+    case Gate::kLogDeterminant:
       // With the gauge's anchor the determinant changes for another reason.
       report.gate_open =
           report.gate_value > options.gate_threshold || news.is_deferred || !news.plan.changes.replaced.empty();

@@ -26,8 +26,10 @@ class UpdateGate {
     Before before;
     bool is_deferred = false;  // earlier steps left work over
   };
-  // Fills in the report's gain, predicted decrease, gate value and verdict. Whatever its value, the gate opens for what
-  // earlier steps left over and for relinearisation that is due, as far as it looks at the map at all.
+  // Fills in the report's gain, predicted decrease, gate value and verdict; once per update, whose number is
+  // step.map.Updates(). Whatever the value, kNewtonDecrement opens for work that earlier steps left over and for
+  // relinearisation that is due, kMutualInformation and kLogDeterminant for such work and for a changed anchor, the
+  // others for nothing else.
   void Decide(const News& news, StepContext<Pose>& step);
 
   template <class Archive>

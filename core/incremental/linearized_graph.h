@@ -54,6 +54,7 @@ class LinearizedGraph {
   const MapFrame<Pose>& Frame() const { return frame_; }
   const PhaseSeconds& Seconds() const { return seconds_; }
   PhaseSeconds& Seconds() { return seconds_; }
+  // So far, empty ones among them; the one at hand counts once it has been added, so the first is 1.
   long Updates() const { return updates_; }
   void SetThreads(int threads) { cholesky_.SetThreads(threads); }
 

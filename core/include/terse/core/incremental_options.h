@@ -24,7 +24,8 @@ namespace terse {
 //   Eqs. 17-18). With the gate closed only the new poses take part, by their share of the full Gauss-Newton step.
 enum class Carry { kOffset, kPoint };
 
-// What has to exceed the gate's threshold for the map to be optimised in a step.
+// What has to exceed the gate's threshold for the map to be optimised in a step; kAlways and kNever have none, and the
+// value 0. Saved states hold the numbers of these enums: new values come last.
 enum class Gate {
   kNewtonDecrement,    // predicted decrease of chi2 that the estimate does not have yet; see DecreaseScale
   kMutualInformation,  // gain of the new factors about what was known, 1/2 ln |I + A Sigma A'|, nats
