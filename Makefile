@@ -85,9 +85,18 @@ report-page: ## bundle examples/report/src into examples/report/report.html, whi
 	@.ci/packages $(node_packages)
 	@cd examples/report && npm ci --loglevel=error && npm run --silent build
 
-readme-picture: demo ## draw the README's picture from what the demonstration leaves behind
-	@build/bin/terse plot demo_output/apal demo_output/fpfl --what trajectory --output build/pictures --quiet
-	@cp build/pictures/comparison_trajectory.svg docs/images/demo.svg
+# The poses kept are what this picture is about, not how well each place is known: no ellipses.
+picture_graph = $(GRAPHS)/3d/kitti00_all_loops.g2o
+picture_truth = $(GRAPHS)/../kitti/poses/00.txt
+readme-picture: all ## draw the README's picture from KITTI 00, all poses and links beside those kept; GRAPHS=folder of the public graphs
+	@.ci/packages $(plot_packages)
+	@rm -rf build/pictures && mkdir -p build/pictures
+	@cd build/pictures && draw() { \
+	    ../bin/terse compact "$(abspath $(picture_graph))" --strategy $$1 --auto-thresholds \
+	      --ground-truth "$(abspath $(picture_truth))" --output "$$2" && sed -i 1q "$$2/covariances.csv"; \
+	  } && draw apal "All poses and links" && draw fpfl "Only what carries information" && \
+	  ../bin/terse plot "All poses and links" "Only what carries information" --what trajectory --format png --output . --quiet
+	@cp build/pictures/comparison_trajectory.png docs/images/kitti00.png
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'
