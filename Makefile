@@ -20,7 +20,7 @@ test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_p
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
 .PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
-  readme-picture install package asan fuzz tsan soak format format-check deps clean help
+  readme-picture install package asan fuzz tsan soak format format-check tidy deps clean help
 .DEFAULT_GOAL := all
 
 # With the Python package where it is switched on, which `make install` and `make package` then take along.
@@ -131,6 +131,11 @@ format-check: ## fail if a source is not formatted
 	@.ci/packages clang-format
 	@printf '%s\n' $(sources) | xargs -n 16 -P $(JOBS) clang-format --dry-run -Werror
 
+TIDY = changed
+tidy: build-tidy/build.ninja ## clang-tidy over the library's sources that changed since origin's main; TIDY=all for all of them
+	@.ci/packages clang-tidy
+	@JOBS=$(JOBS) .ci/tidy build-tidy $(TIDY)
+
 clean: ## remove all that was built
 	@rm -rf build build-debug build-asan build-tsan build-tidy build-bench build-pip
 
@@ -148,6 +153,10 @@ build-asan/build.ninja: CMakePresets.json | deps
 build-tsan/build.ninja: CMakePresets.json | deps
 	@.ci/packages $(asan_packages)
 	@cmake --preset tsan >/dev/null && touch $@
+
+build-tidy/build.ninja: CMakePresets.json | deps
+	@.ci/packages clang-tidy
+	@cmake --preset tidy >/dev/null && touch $@
 
 build-bench/build.ninja: CMakePresets.json | deps
 	@.ci/packages $(bench_packages)
