@@ -20,7 +20,7 @@ test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_p
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
 .PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
-  readme-picture install package asan fuzz tsan soak format format-check deps clean help
+  readme-picture install package asan fuzz tsan soak format format-check tidy deps clean help
 .DEFAULT_GOAL := all
 
 # With the Python package where it is switched on, which `make install` and `make package` then take along.
@@ -85,9 +85,18 @@ report-page: ## bundle examples/report/src into examples/report/report.html, whi
 	@.ci/packages $(node_packages)
 	@cd examples/report && npm ci --loglevel=error && npm run --silent build
 
-readme-picture: demo ## draw the README's picture from what the demonstration leaves behind
-	@build/bin/terse plot demo_output/apal demo_output/fpfl --what trajectory --output build/pictures --quiet
-	@cp build/pictures/comparison_trajectory.svg docs/images/demo.svg
+# The poses kept are what this picture is about, not how well each place is known: no ellipses.
+picture_graph = $(GRAPHS)/3d/kitti00_all_loops.g2o
+picture_truth = $(GRAPHS)/../kitti/poses/00.txt
+readme-picture: all ## draw the README's picture from KITTI 00, all poses and links beside those kept; GRAPHS=folder of the public graphs
+	@.ci/packages $(plot_packages)
+	@rm -rf build/pictures && mkdir -p build/pictures
+	@cd build/pictures && draw() { \
+	    ../bin/terse compact "$(abspath $(picture_graph))" --strategy $$1 --auto-thresholds \
+	      --ground-truth "$(abspath $(picture_truth))" --output "$$2" && sed -i 1q "$$2/covariances.csv"; \
+	  } && draw apal "All poses and links" && draw fpfl "Only what carries information" && \
+	  ../bin/terse plot "All poses and links" "Only what carries information" --what trajectory --format png --output . --quiet
+	@cp build/pictures/comparison_trajectory.png docs/images/kitti00.png
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'
@@ -122,6 +131,11 @@ format-check: ## fail if a source is not formatted
 	@.ci/packages clang-format
 	@printf '%s\n' $(sources) | xargs -n 16 -P $(JOBS) clang-format --dry-run -Werror
 
+TIDY = changed
+tidy: build-tidy/build.ninja ## clang-tidy over the library's sources that changed since origin's main; TIDY=all for all of them
+	@.ci/packages clang-tidy
+	@JOBS=$(JOBS) .ci/tidy build-tidy $(TIDY)
+
 clean: ## remove all that was built
 	@rm -rf build build-debug build-asan build-tsan build-tidy build-bench build-pip
 
@@ -139,6 +153,10 @@ build-asan/build.ninja: CMakePresets.json | deps
 build-tsan/build.ninja: CMakePresets.json | deps
 	@.ci/packages $(asan_packages)
 	@cmake --preset tsan >/dev/null && touch $@
+
+build-tidy/build.ninja: CMakePresets.json | deps
+	@.ci/packages clang-tidy
+	@cmake --preset tidy >/dev/null && touch $@
 
 build-bench/build.ninja: CMakePresets.json | deps
 	@.ci/packages $(bench_packages)

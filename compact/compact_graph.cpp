@@ -76,7 +76,7 @@ Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<P
   sample.probability = options.probability;
   sample.distance = options.distance;
   sample.innovation_quantile = options.innovation_quantile;
-  const Thresholds<Pose> chosen = SelectThresholds(graph, sample);
+  Thresholds<Pose> chosen = SelectThresholds(graph, sample);
   options.range = chosen.range;
   options.min_loop_gain = chosen.min_loop_gain;
   options.min_pose_gain = chosen.min_pose_gain;

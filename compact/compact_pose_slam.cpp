@@ -237,7 +237,7 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
   UpdateCovariances();
   if (revival != nullptr) Revive(*revival, report.factor_ids);
   if (!current.in_solver && input.odometry) current.odometry = report.factor_ids[revived];
-  const std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
+  std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
   for (const FactorId id : ids) links_.push_back({id, input.id, std::nullopt});
   current.in_solver = true;
   current.concatenated = false;

@@ -72,6 +72,7 @@ void WriteCovarianceArrays(const std::vector<PoseId>& ids, const std::vector<typ
                            const std::string& path) {
   constexpr std::size_t kDof = Pose::kDof;
   std::vector<std::int64_t> numbers;
+  numbers.reserve(ids.size());
   for (const PoseId id : ids) numbers.push_back(id.value);
   std::vector<double> entries;
   entries.reserve(covariances.size() * kDof * kDof);

@@ -214,7 +214,7 @@ class Problem {
 // Levenberg-Marquardt damping after Nielsen: zero while full steps work.
 class Damping {
  public:
-  double lambda() const { return lambda_; }
+  double Lambda() const { return lambda_; }
   void Accept(double gain_ratio) {
     lambda_ *= std::max(1.0 / 3, 1 - std::pow(2 * gain_ratio - 1, 3));
     if (lambda_ < 1e-9) lambda_ = 0;

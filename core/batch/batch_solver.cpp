@@ -208,7 +208,7 @@ class Run {
 
   void TakeStep() {
     ++result_.iterations;
-    const double lambda = damping_control_.lambda();
+    const double lambda = damping_control_.Lambda();
     if (!factored_here_ || lambda > 0) {
       factored_here_ = false;
       if (!RefactorAt(lambda)) return Reject("the system is not positive definite");
@@ -282,8 +282,8 @@ class Run {
     if (options_.method == Method::kGaussNewton) return Finish(Termination::kDiverged, why);
     damping_control_.Reject();
     Log(options_.log, LogLevel::kDebug, "batch: iteration ", result_.iterations, ": rejected, ", why, ", damping ",
-        damping_control_.lambda());
-    if (damping_control_.lambda() > 1e16) Finish(Termination::kStalled, why + ", and no damping helps");
+        damping_control_.Lambda());
+    if (damping_control_.Lambda() > 1e16) Finish(Termination::kStalled, why + ", and no damping helps");
   }
 
   static constexpr int kClimb = 4;

@@ -141,7 +141,7 @@ class Comparison {
     double chi2 = 0;
     const double cost = problem_.Cost(trial, chi2);
     internal::Log(options_.log, LogLevel::kDebug, "start: ", Name(start.trial.method), ", iteration ",
-                  start.trial.iterations, ": cost ", start.cost, " to ", cost, ", damping ", start.damping.lambda());
+                  start.trial.iterations, ": cost ", start.cost, " to ", cost, ", damping ", start.damping.Lambda());
     if (!(cost <= kClimb * start.trial.cost)) {
       // From where it was lowest, in shorter steps.
       if (!start.best.empty()) {
@@ -152,7 +152,7 @@ class Comparison {
       return true;
     }
     const double decrease = start.cost - cost;
-    if (decrease >= 0 && start.damping.lambda() > 0) start.damping.Accept(predicted > 0 ? decrease / predicted : 1);
+    if (decrease >= 0 && start.damping.Lambda() > 0) start.damping.Accept(predicted > 0 ? decrease / predicted : 1);
     if (cost > start.trial.cost && start.best.empty()) start.best = std::move(start.values);
     if (cost <= start.trial.cost) {
       start.trial.cost = cost;
@@ -166,7 +166,7 @@ class Comparison {
 
   // At the start's values, with its damping.
   bool Factor(const Start& start) {
-    const double lambda = start.damping.lambda();
+    const double lambda = start.damping.Lambda();
     damping_.clear();
     if (factor_.Variables() == 0) {
       problem_.SetGauge(FindGauge(graph_, start.values));
