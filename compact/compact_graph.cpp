@@ -51,7 +51,7 @@ CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>&
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options,
                               const AfterStep<Pose>& after_step) {
-  if (options.strategy == Strategy::kRfpfl) {
+  if (options.strategy == Strategy::kGiven) {
     throw std::invalid_argument("rfpfl draws its poses from a replay beforehand: call RunCompact with it");
   }
   GraphReplay<Pose> replay(graph);

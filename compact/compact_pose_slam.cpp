@@ -199,8 +199,8 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
     decision.verdict = PoseVerdict::kLoopClosed;
   } else if (!current.input->priors.empty() || current.input->fixed) {
     decision.verdict = PoseVerdict::kPrior;
-  } else if (options_.strategy == Strategy::kRfpfl) {
-    decision.verdict = current.input->drawn ? PoseVerdict::kDrawn : PoseVerdict::kRedundant;
+  } else if (options_.strategy == Strategy::kGiven) {
+    decision.verdict = current.input->keep ? PoseVerdict::kGiven : PoseVerdict::kRedundant;
   } else if (options_.strategy != Strategy::kFpfl) {
     decision.verdict = PoseVerdict::kAllKept;
   } else if (!decision.pose_gain) {
@@ -290,7 +290,7 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
       Keep(current, {});
     } else if (options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl) {
       Search(current, decision, registration);
-    } else if (options_.strategy == Strategy::kApal || input.drawn) {
+    } else if (options_.strategy == Strategy::kApal || input.keep) {
       LinkAll(current, decision, registration);
     }
     Judge(current, decision);

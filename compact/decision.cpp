@@ -11,7 +11,7 @@ const char* Name(Strategy strategy) {
     case Strategy::kApal: return "apal";
     case Strategy::kApfl: return "apfl";
     case Strategy::kFpfl: return "fpfl";
-    case Strategy::kRfpfl: return "rfpfl";
+    case Strategy::kGiven: return "rfpfl";
   }
   return "unknown";
 }
@@ -25,7 +25,7 @@ const char* Name(PoseVerdict verdict) {
     case PoseVerdict::kNothingInRange: return "nothing_in_range";
     case PoseVerdict::kInformative: return "informative";
     case PoseVerdict::kRedundant: return "redundant";
-    case PoseVerdict::kDrawn: return "drawn";
+    case PoseVerdict::kGiven: return "drawn";
   }
   return "unknown";
 }
@@ -55,8 +55,6 @@ void Accumulate(const StepReport& update, std::optional<StepReport>& sum) {
   s.deferred_fronts = update.deferred_fronts;
   s.flops += update.flops;
   s.solve_flops += update.solve_flops;
-  s.paper_update_flops += update.paper_update_flops;
-  s.paper_solve_flops += update.paper_solve_flops;
   s.seconds += update.seconds;
 }
 

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
-#include <random>
 #include <set>
 #include <stdexcept>
 #include <unordered_map>
@@ -170,37 +169,14 @@ void GraphReplay<Pose>::Build(const PoseGraph<Pose>& graph, const std::vector<Ar
 }
 
 template <class Pose>
-void GraphReplay<Pose>::DrawAtRandom(int poses, int links, std::uint64_t seed) {
-  std::mt19937_64 engine(seed);
-  // Leaves `count` elements, those before `from` among them, the others drawn (Fisher and Yates).
-  const auto draw = [&](std::vector<int>& list, size_t from, size_t count) {
-    for (size_t k = from; k < std::min(count, list.size()); ++k) {
-      std::swap(list[k], list[k + engine() % (list.size() - k)]);
-    }
-    list.resize(std::min(count, list.size()));
-  };
-  std::vector<int> chosen(inputs_.size());
-  std::iota(chosen.begin(), chosen.end(), 0);
-  draw(chosen, 1, At(std::max(poses, 1)));
+void GraphReplay<Pose>::Choose(const std::vector<int>& poses, const std::vector<int>& links) {
   for (auto& input : inputs_) {
-    input.drawn = false;
+    input.keep = false;
     input.linkable.emplace();
     input.loops.emplace();
   }
-  std::set<std::int64_t> drawn;
-  for (const int k : chosen) {
-    inputs_[At(k)].drawn = true;
-    drawn.insert(inputs_[At(k)].id.value);
-  }
-  std::vector<int> between;
-  for (size_t k = 0; k < links_.size(); ++k) {
-    if (drawn.count(links_[k].from.value) != 0 && drawn.count(links_[k].to.value) != 0) {
-      between.push_back(static_cast<int>(k));
-    }
-  }
-  draw(between, 0, At(std::max(links, 0)));
-  std::sort(between.begin(), between.end());
-  for (const int k : between) {
+  for (const int k : poses) inputs_[At(k)].keep = true;
+  for (const int k : links) {
     CompactInput<Pose>& input = inputs_[At(owner_[At(k)])];
     const RelativePoseFactor<Pose>& link = links_[At(k)];
     input.linkable->push_back(link.from == input.id ? link.to : link.from);

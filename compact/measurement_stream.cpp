@@ -13,7 +13,7 @@ std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
 template <class Pose>
 MeasurementStream<Pose>::MeasurementStream(CompactPoseSlam<Pose>& slam) : slam_(&slam) {
-  if (slam.Options().strategy == Strategy::kRfpfl) {
+  if (slam.Options().strategy == Strategy::kGiven) {
     throw std::invalid_argument("rfpfl draws from all poses beforehand: there is no stream of it");
   }
 }

@@ -18,7 +18,7 @@ RelativePoseFactor<SE3> Link(PoseId from, PoseId to, const SE3& T_from_to, const
 
 CompactOptions<SE3> MapOptions(const StereoSlamOptions& options, bool by_appearance) {
   CompactOptions<SE3> out = options.compact;
-  if (out.strategy == Strategy::kRfpfl) {
+  if (out.strategy == Strategy::kGiven) {
     throw std::invalid_argument("stereo options: a random selection needs a graph that is known beforehand");
   }
   if (by_appearance) out.strategy = Strategy::kApal;

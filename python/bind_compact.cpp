@@ -65,7 +65,7 @@ CompactInput<Pose> InputFrom(const Input& from) {
     to.linkable.emplace();
     for (const std::int64_t id : *from.linkable) to.linkable->push_back(PoseId{id});
   }
-  to.drawn = from.drawn;
+  to.keep = from.drawn;
   return to;
 }
 

@@ -6,6 +6,7 @@
 #include "names.h"
 #include "pickling.h"
 #include "state_members.h"
+#include "terse/compact/random_choice.h"
 #include "text.h"
 #include "values.h"
 
@@ -49,7 +50,7 @@ Input InputOf(const CompactInput<Pose>& from) {
     to.linkable.emplace();
     for (const PoseId id : *from.linkable) to.linkable->push_back(id.value);
   }
-  to.drawn = from.drawn;
+  to.drawn = from.keep;
   return to;
 }
 
@@ -156,7 +157,7 @@ void BindGraphReplay(py::module_& module) {
           "draw_at_random",
           [](const Replay& r, int poses, int links, std::uint64_t seed) {
             const Lock lock(*r.guard, Lock::kChanging);
-            std::visit([&](auto& held) { held->DrawAtRandom(poses, links, seed); }, r.replay);
+            std::visit([&](auto& held) { DrawAtRandom(*held, poses, links, seed); }, r.replay);
           },
           py::arg("poses"), py::arg("links"), py::arg("seed") = 1,
           "For strategy 'rfpfl': draws so many poses and links. Same seed, same choice.")

@@ -56,7 +56,7 @@ TERSE_WORDS(TrajectoryFormat, "format", {"tum", TrajectoryFormat::kTum}, {"kitti
             {"graph", TrajectoryFormat::kGraph});
 TERSE_WORDS(Alignment, "alignment", {"se3", Alignment::kSE3}, {"se2", Alignment::kSE2}, {"none", Alignment::kNone});
 TERSE_WORDS(Strategy, "strategy", {"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl},
-            {"rfpfl", Strategy::kRfpfl});
+            {"rfpfl", Strategy::kGiven});
 TERSE_WORDS(AngleMeasure, "angle", {"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation});
 TERSE_WORDS(CompositionOrder, "composition", {"first", CompositionOrder::kFirst},
             {"fourth", CompositionOrder::kFourth});

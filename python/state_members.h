@@ -16,12 +16,10 @@ template <class Archive>
 void Serialize(Archive& archive, StepReport& report) {
   auto& [factor_ids, path, fronts_updated, fronts_refactored, variables_refactored, gate_open, gate_value, iterations,
          variables_relinearised, variables_moved, predicted_decrease, actual_decrease, gain_nats, restarted,
-         deferred_relinearisations, deferred_fronts, flops, solve_flops, paper_update_flops, paper_solve_flops,
-         seconds] = report;
+         deferred_relinearisations, deferred_fronts, flops, solve_flops, seconds] = report;
   archive(factor_ids, path, fronts_updated, fronts_refactored, variables_refactored, gate_open, gate_value, iterations,
           variables_relinearised, variables_moved, predicted_decrease, actual_decrease, gain_nats, restarted,
-          deferred_relinearisations, deferred_fronts, flops, solve_flops, paper_update_flops, paper_solve_flops,
-          seconds);
+          deferred_relinearisations, deferred_fronts, flops, solve_flops, seconds);
 }
 
 template <class Archive>

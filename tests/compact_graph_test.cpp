@@ -118,7 +118,7 @@ TYPED_TEST(CompactGraphTest, SmallAndUnusableGraphs) {
   const auto one = CompactGraph(graph);
   EXPECT_EQ(one.PosesKept(), 1);
   EXPECT_EQ(one.KeptGraph().Poses().size(), 1u);
-  EXPECT_THROW(CompactGraph(graph, Strategy::kRfpfl), std::invalid_argument);
+  EXPECT_THROW(CompactGraph(graph, Strategy::kGiven), std::invalid_argument);
   graph.AddPose(PoseId{8});
   EXPECT_THROW(CompactGraph(graph), std::invalid_argument) << "in pieces";
 }

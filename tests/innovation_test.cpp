@@ -226,14 +226,14 @@ struct Course {
           input.odometry = {input.id, PoseId{10 * (k - 1)}, back.T_a_b, Inverse(back.covariance)};
         }
       }
-      input.drawn = k % 3 == 0;
+      input.keep = k % 3 == 0;
       slam.AddPose(input, nullptr);
     }
   }
   // Random poses are kept as they are named: no threshold to tune.
   static CompactOptions<Pose> Options(std::optional<double> quantile) {
     CompactOptions<Pose> options;
-    options.strategy = Strategy::kRfpfl;
+    options.strategy = Strategy::kGiven;
     options.innovation_quantile = quantile;
     options.min_loop_gain = 0.01;
     return options;

@@ -55,15 +55,13 @@ std::string Fields(const StepReport& report) {
   // All of them, so that a new one is not forgotten.
   const auto& [factor_ids, path, fronts_updated, fronts_refactored, variables_refactored, gate_open, gate_value,
                iterations, variables_relinearised, variables_moved, predicted_decrease, actual_decrease, gain_nats,
-               restarted, deferred_relinearisations, deferred_fronts, flops, solve_flops, paper_update_flops,
-               paper_solve_flops, seconds] = report;
+               restarted, deferred_relinearisations, deferred_fronts, flops, solve_flops, seconds] = report;
   std::string out;
   for (const FactorId id : factor_ids) out += Bits(id.value);
   return out + Bits(path) + Bits(fronts_updated) + Bits(fronts_refactored) + Bits(variables_refactored) +
          Bits(gate_open) + Bits(gate_value) + Bits(iterations) + Bits(variables_relinearised) + Bits(variables_moved) +
          Bits(predicted_decrease) + Bits(actual_decrease) + Bits(gain_nats) + Bits(restarted) +
-         Bits(deferred_relinearisations) + Bits(deferred_fronts) + Bits(flops) + Bits(solve_flops) +
-         Bits(paper_update_flops) + Bits(paper_solve_flops);
+         Bits(deferred_relinearisations) + Bits(deferred_fronts) + Bits(flops) + Bits(solve_flops);
 }
 
 template <class Pose>
@@ -127,7 +125,6 @@ const std::vector<Setting>& Settings() {
          o.carry = Carry::kPoint;
          o.partial = true;
          o.decrease_scale = DecreaseScale::kDof;
-         o.report_paper_flops = true;
        }},
       {"no time", [](IncrementalOptions& o) { o.budget_seconds = 1e-9; }},
       {"robust kernel", [](IncrementalOptions& o) { o.robust.kernel = RobustKernel::kDcs; }},

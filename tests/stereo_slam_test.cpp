@@ -138,7 +138,7 @@ TEST_F(StereoSlamTest, WrongInputLeavesTheStateAsItWas) {
   EXPECT_EQ(slam.Map().PosesSeen(), 1);
   EXPECT_EQ(slam.AddFrame(scene_->frames[1]).odometry.status, TrackingStatus::kTracked);
   StereoSlamOptions options;
-  options.compact.strategy = Strategy::kRfpfl;
+  options.compact.strategy = Strategy::kGiven;
   EXPECT_THROW(StereoSlam(scene_->camera, options), std::invalid_argument);
   options = {};
   options.most_per_place = 0;

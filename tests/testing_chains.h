@@ -75,7 +75,7 @@ class Chains {
   static std::size_t At(int k) { return static_cast<std::size_t>(k); }
   CompactOptions<Pose> SlamOptions() const {
     CompactOptions<Pose> options;
-    options.strategy = Strategy::kRfpfl;  // keeps what it is told to
+    options.strategy = Strategy::kGiven;  // keeps what it is told to
     options.composition = options_.composition;
     return options;
   }
@@ -106,7 +106,7 @@ class Chains {
     input.id = Id(k);
     input.T_world_body = truth_.back();
     input.fixed = keep && Happens(options_.fixed);
-    input.drawn = keep;
+    input.keep = keep;
     others_.AddPose(Id(k), truth_.back());
     others_.SetFixed(Id(k), input.fixed);
     odometry_.push_back(k == 0 ? RelativePoseFactor<Pose>() : Measure(parent, k));

@@ -331,7 +331,7 @@ CompactMapFile ReadCompactMap(const std::string& path) {
   const std::int64_t d = dimension.Integer();
   if (d != 2 && d != 3) dimension.FailExpecting("2 or 3");
   if (root.Has("strategy")) {
-    const std::vector<Strategy> strategies = {Strategy::kApal, Strategy::kApfl, Strategy::kFpfl, Strategy::kRfpfl};
+    const std::vector<Strategy> strategies = {Strategy::kApal, Strategy::kApfl, Strategy::kFpfl, Strategy::kGiven};
     std::vector<std::string> names;
     for (const Strategy strategy : strategies) names.emplace_back(Name(strategy));
     file.strategy = strategies[root.At("strategy", "a strategy").Choice(names)];

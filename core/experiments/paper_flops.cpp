@@ -171,6 +171,22 @@ double PaperFlops::Updated(const std::vector<int>& variables) const {
 double PaperFlops::Solved() const { return 2 * std::accumulate(kappa_.begin(), kappa_.end(), 0.0); }
 double PaperFlops::Solved(const std::vector<int>& variables) const { return 2 * Sum(kappa_, variables); }
 
+template <class Pose>
+void PaperFlopsMeter<Pose>::Count(const PointWork& work) {
+  switch (work.kind) {
+    case PointWork::Kind::kEntered:
+      paper_ = PaperFlops(solver_->Cholesky());
+      flops_ = {paper_.Added(work.first), 0};
+      break;
+    case PointWork::Kind::kSolved: flops_.solve += work.poses ? paper_.Solved(*work.poses) : paper_.Solved(); break;
+    case PointWork::Kind::kRelinearised:
+      flops_.update += work.poses ? paper_.Updated(*work.poses) : paper_.Updated();
+      break;
+  }
+}
+
+template class PaperFlopsMeter<SE2>;
+template class PaperFlopsMeter<SE3>;
 template PaperFlops::PaperFlops(const BlockCholesky<3>&);
 template PaperFlops::PaperFlops(const BlockCholesky<6>&);
 

@@ -23,6 +23,7 @@
 #include "terse/core/incremental_options.h"
 #include "terse/core/pose_graph.h"
 #include "terse/core/state_file.h"
+#include "terse/core/step_report.h"
 
 namespace terse::internal {
 

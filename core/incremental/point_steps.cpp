@@ -7,7 +7,6 @@
 #include "support/stopwatch.h"
 #include "terse/core/at.h"
 #include "terse/core/log_message.h"
-#include "terse/core/paper_flops.h"
 
 namespace terse::internal {
 namespace {
@@ -97,17 +96,14 @@ bool ExceedsStepTolerance(const Vector<Pose::kDof>& d, const IncrementalOptions&
          d.template tail<Pose::kDof - Pose::kDim>().norm() > options.step_radians;
 }
 
-// The work model of the paper, where it is asked for; the time it takes is not the step's.
 template <class Pose>
-PaperFlops CountPaperFlops(StepContext<Pose>& step) {
+void Tell(const PointWork& work, StepContext<Pose>& step) {
   double seconds = 0;
-  PaperFlops paper;
   {
     ScopedTimer timer(seconds);
-    paper = PaperFlops(step.map.Cholesky());
+    step.options.on_point_work(work);
   }
   step.report.seconds -= seconds;
-  return paper;
 }
 
 }  // namespace
@@ -125,16 +121,13 @@ bool OptimizePoints(int new_poses, StepContext<Pose>& step) {
     scope.resize(At(new_poses));
     std::iota(scope.begin(), scope.end(), variables - new_poses);
   }
-  PaperFlops paper;
-  if (options.report_paper_flops) {
-    paper = CountPaperFlops(step);
-    report.paper_update_flops = paper.Added(variables - new_poses);
-  }
+  const bool is_watched = static_cast<bool>(options.on_point_work);
+  if (is_watched) Tell({PointWork::Kind::kEntered, variables - new_poses, nullptr}, step);
   bool is_deferred = false, all = everything;
   std::vector<int> moved;
   for (int k = 0; k < options.max_iterations && (all || !scope.empty()); ++k) {
     auto steps = TakeStep(all ? nullptr : &scope, step);
-    if (options.report_paper_flops) report.paper_solve_flops += all ? paper.Solved() : paper.Solved(scope);
+    if (is_watched) Tell({PointWork::Kind::kSolved, 0, all ? nullptr : &scope}, step);
     const auto exceeds = [&](const auto& move) { return ExceedsStepTolerance<Pose>(move.second, options); };
     const auto outgrown = std::count_if(steps.begin(), steps.end(), exceeds);
     if (outgrown == 0) break;
@@ -149,9 +142,10 @@ bool OptimizePoints(int new_poses, StepContext<Pose>& step) {
     if (!MoveBy(steps, step)) break;
     ++report.iterations;
     for (const auto& move : steps) moved.push_back(move.first);
-    if (options.report_paper_flops) {
-      report.paper_update_flops +=
-          all && !options.partial ? paper.Updated() : paper.Updated(NextScope(steps, cholesky, false));
+    if (is_watched) {
+      const bool is_whole = all && !options.partial;
+      const std::vector<int> relinearised = is_whole ? std::vector<int>() : NextScope(steps, cholesky, false);
+      Tell({PointWork::Kind::kRelinearised, 0, is_whole ? nullptr : &relinearised}, step);
     }
     if (options.partial) {
       scope = NextScope(steps, cholesky, options.partial_neighbours && everything);

@@ -15,6 +15,7 @@
 #include "terse/compact/compact_map.h"
 #include "terse/compact/json_file.h"
 #include "terse/compact/map_file.h"
+#include "terse/compact/random_choice.h"
 #include "terse/compact/run_writer.h"
 #include "terse/compact/thresholds_file.h"
 #include "terse/core/atomic_file.h"
@@ -98,7 +99,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
 void WarnOfLostLoops(const Stats& stats, const CompactCommandOptions& options) {
   const auto number = [&](const char* key) { return stats.more.at(key).get<long>(); };
   const long offered = number("links_offered"), kept = number("links_kept"), refused = number("links_refused");
-  if (offered == 0 || options.strategy == Strategy::kApal || options.strategy == Strategy::kRfpfl) return;
+  if (offered == 0 || options.strategy == Strategy::kApal || options.strategy == Strategy::kGiven) return;
   const bool are_rare = 10 * offered <= static_cast<long>(stats.poses);
   const bool distrusted = refused > kept, uninformative = kept == 0 || (are_rare && 5 * kept < offered);
   if (!distrusted && !uninformative) return;
@@ -140,12 +141,12 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
 
 // The random baseline keeps as many poses and links as a run by information does.
 template <class Pose>
-void DrawAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, const CompactCommandOptions& options,
+void ChooseAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, const CompactCommandOptions& options,
                   GraphReplay<Pose>& replay) {
   GraphReplay<Pose> informed(graph);
   settings.strategy = Strategy::kFpfl;
   const CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), informed, "count", options.quiet);
-  replay.DrawAtRandom(run.PosesKept(), run.LinksKept(), options.seed);
+  DrawAtRandom(replay, run.PosesKept(), run.LinksKept(), options.seed);
 }
 
 // What there was before; nothing but for --continue.
@@ -238,7 +239,7 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   const TruePoses* known = truth ? &*truth : nullptr;
   nlohmann::ordered_json sample;
   const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, sample);
-  if (settings.strategy == Strategy::kRfpfl) DrawAtRandom(graph, settings, options, replay);
+  if (settings.strategy == Strategy::kGiven) ChooseAtRandom(graph, settings, options, replay);
   StepRecorder<Pose> recorder(static_cast<int>(replay.Inputs().size()), known);
   CompactPoseSlam<Pose> slam = StartFrom(before.map, settings, options);
   const int links_before = slam.LinksKept();
@@ -279,7 +280,7 @@ std::optional<CompactMapFile> ReadContinued(CompactCommandOptions& options) {
   if (options.continued.empty()) return std::nullopt;
   CompactMapFile file = ReadCompactMap(options.continued + "/graph.json");
   if (!options.strategy) options.strategy = file.strategy;
-  if (options.strategy == Strategy::kRfpfl) {
+  if (options.strategy == Strategy::kGiven) {
     throw CLI::ValidationError("--continue", "rfpfl draws from all poses beforehand: there is nothing to continue");
   }
   if (options.thresholds.empty() && !options.auto_thresholds)
@@ -314,7 +315,7 @@ void Compact(CompactCommandOptions options) {
 void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
   AddChoice(
       command, "--strategy", options.strategy,
-      {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kRfpfl}},
+      {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kGiven}},
       "All poses all links, all poses few links, few poses few links, or as few at random; --continue goes on as "
       "before")
       ->default_str("fpfl");

@@ -18,6 +18,7 @@
 #include "terse/core/error.h"
 #include "terse/core/gauge.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/paper_flops.h"
 #include "terse/core/replay.h"
 #include "terse/core/require_optimum.h"
 #include "terse/core/robust.h"
@@ -74,7 +75,6 @@ IncrementalOptions StepOptions(const SolveOptions& options) {
   out.budget_seconds = options.step_budget_ms / 1000;
   out.robust = options.robust;
   out.report_cost = !options.steps.empty();
-  out.report_paper_flops = options.paper_flops;
   out.threads = options.threads;
   out.log = options.log;
   return out;
@@ -101,7 +101,11 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
 // The graph as it would have come in online; then iterated to its optimum.
 template <class Pose>
 BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
-  IncrementalSolver<Pose> solver(StepOptions(options));
+  internal::PaperFlopsMeter<Pose> meter;
+  IncrementalOptions step_options = StepOptions(options);
+  if (options.paper_flops) step_options.on_point_work = meter.Sink();
+  IncrementalSolver<Pose> solver(step_options);
+  meter.Watch(solver);
   std::optional<AtomicFile> steps_file;
   if (!options.steps.empty()) {
     steps_file.emplace(options.steps == "-" ? "/dev/stdout" : options.steps);
@@ -118,7 +122,9 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
       stats.step_seconds.push_back(step.report.seconds);
       if (steps_file) {
         const auto& known = solver.Graph();
-        WriteStepsRow(step, known.Poses().size(), known.Factors().size(), steps_file->Stream());
+        const auto& model = meter.OfLastStep();
+        WriteStepsRow(step, known.Poses().size(), known.Factors().size(), {model.update, model.solve},
+                      steps_file->Stream());
       }
       if (covariances) covariances->Add(step.index + 1);
       progress->Update(step.index + 1);

@@ -16,6 +16,7 @@
 #include "run/standard_output.h"
 #include "terse/core/error.h"
 #include "terse/core/linear_factor.h"
+#include "terse/core/paper_flops.h"
 #include "terse/core/replay.h"
 
 namespace terse {
@@ -89,8 +90,11 @@ Row RunPolicy(const PoseGraph<SE2>& graph, const std::vector<SE2>& optimum, cons
   const ReplayOptions replay{ArrivalUnit::kEdge, stored_values};
   IncrementalOptions options = OptionsFor(policy, set);
   Progress progress(row.graph + " " + row.initial + " " + row.policy, static_cast<long>(graph.Factors().size()), quiet);
-  options.report_paper_flops = options.carry == Carry::kPoint;
+  internal::PaperFlopsMeter<SE2> meter;
+  const bool has_model = options.carry == Carry::kPoint;
+  if (has_model) options.on_point_work = meter.Sink();
   IncrementalSolver<SE2> solver(options);
+  meter.Watch(solver);
   double scalars = 0, paper_update = 0, paper_solve = 0;
   std::vector<SE2> reference;
   Replay<SE2>(graph, replay, solver, [&](const ReplayStep& step) {
@@ -105,15 +109,15 @@ Row RunPolicy(const PoseGraph<SE2>& graph, const std::vector<SE2>& optimum, cons
     row.mean_ate += row.ate / step.steps;
     row.steps = step.steps;
     row.optimised += step.report.gate_open ? 1 : 0;
-    paper_update += step.report.paper_update_flops / step.steps;
-    paper_solve += step.report.paper_solve_flops / step.steps;
+    paper_update += meter.OfLastStep().update / step.steps;
+    paper_solve += meter.OfLastStep().solve / step.steps;
     row.update_flops += step.report.flops / step.steps;
     row.solve_flops += step.report.solve_flops / step.steps;
     row.seconds += step.report.seconds;
     progress.Update(step.index + 1);
     return true;
   });
-  if (options.report_paper_flops) row.paper_update = paper_update, row.paper_solve = paper_solve;
+  if (has_model) row.paper_update = paper_update, row.paper_solve = paper_solve;
   return row;
 }
 

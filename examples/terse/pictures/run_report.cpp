@@ -40,7 +40,7 @@ Json Positions(const std::vector<SE3>& poses) {
 const std::vector<std::string>& Verdicts() {
   static const std::vector<std::string> names = [] {
     std::vector<std::string> out;
-    for (int k = 0; k <= static_cast<int>(PoseVerdict::kDrawn); ++k) out.push_back(Name(static_cast<PoseVerdict>(k)));
+    for (int k = 0; k <= static_cast<int>(PoseVerdict::kGiven); ++k) out.push_back(Name(static_cast<PoseVerdict>(k)));
     return out;
   }();
   return names;

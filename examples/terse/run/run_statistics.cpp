@@ -108,7 +108,8 @@ void WriteStepsHeader(std::ostream& out) {
          "deferred_relinearisations,deferred_fronts,flops,solve_flops,paper_update_flops,paper_solve_flops,seconds\n";
 }
 
-void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, std::ostream& out) {
+void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, const ModelFlops& model,
+                   std::ostream& out) {
   const StepReport& r = step.report;
   out << step.index + 1 << ',' << poses << ',' << factors << ',';
   for (std::size_t k = 0; k < r.factor_ids.size(); ++k) out << (k > 0 ? " " : "") << r.factor_ids[k].value;
@@ -117,7 +118,7 @@ void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factor
       << r.variables_relinearised << ',' << r.variables_moved << ',' << Shortest(r.predicted_decrease) << ','
       << Shortest(r.actual_decrease) << ',' << Shortest(r.gain_nats) << ',' << r.deferred_relinearisations << ','
       << r.deferred_fronts << ',' << Shortest(r.flops) << ',' << Shortest(r.solve_flops) << ','
-      << Shortest(r.paper_update_flops) << ',' << Shortest(r.paper_solve_flops) << ',' << Shortest(r.seconds) << '\n';
+      << Shortest(model.update) << ',' << Shortest(model.solve) << ',' << Shortest(r.seconds) << '\n';
 }
 
 void WriteTrajectory(const Trajectory& trajectory, const std::string& path) {

@@ -40,7 +40,12 @@ nlohmann::ordered_json ToJson(const Stats& stats);
 // Comma-separated values, a row per step of an incremental run: docs/outputs.md. `poses` and `factors`: in the graph by
 // then.
 void WriteStepsHeader(std::ostream& out);
-void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, std::ostream& out);
+// `model`: the step's work as Arablouei 2026 counts it, where that was asked for.
+struct ModelFlops {
+  double update = 0, solve = 0;
+};
+void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, const ModelFlops& model,
+                   std::ostream& out);
 
 // A clock for one phase.
 double SecondsNow();

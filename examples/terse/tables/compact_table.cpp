@@ -8,6 +8,7 @@
 #include "run/progress.h"
 #include "run/run_statistics.h"
 #include "terse/compact/json_file.h"
+#include "terse/compact/random_choice.h"
 #include "terse/compact/run_steps.h"
 #include "terse/compact/run_writer.h"
 #include "terse/core/stamped_trajectory.h"
@@ -81,7 +82,7 @@ class TableRun {
   // With the covariances of every step, or (APFL, FPFL, random) those that it asks for itself.
   std::pair<StrategyResult, CompactRun<Pose>> RunStrategy(Strategy strategy, std::optional<std::uint64_t> seed = {}) {
     GraphReplay<Pose> replay(named_.graph);
-    if (seed) replay.DrawAtRandom(row_.fpfl.poses, row_.fpfl.links, *seed);
+    if (seed) DrawAtRandom(replay, row_.fpfl.poses, row_.fpfl.links, *seed);
     CompactOptions<Pose> settings = settings_;
     settings.strategy = strategy;
     StrategyResult result;
@@ -154,7 +155,7 @@ class TableRun {
     const double share = 1.0 / options_.random_runs;
     for (int k = 0; k < options_.random_runs; ++k) {
       const std::uint64_t seed = options_.seed + static_cast<std::uint64_t>(k);
-      StrategyResult result = RunStrategy(Strategy::kRfpfl, seed).first;
+      StrategyResult result = RunStrategy(Strategy::kGiven, seed).first;
       for (PoseError TrajectoryErrors::*kind :
            {&TrajectoryErrors::ate, &TrajectoryErrors::rpe, &TrajectoryErrors::rpe_all}) {
         (mean.*kind).translation_m += share * ((*result.errors).*kind).translation_m;

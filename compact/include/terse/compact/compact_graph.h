@@ -50,7 +50,7 @@ CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>&
                             const AfterStep<Pose>& after_step = nullptr);
 
 // With the options as they are. Throws std::invalid_argument besides if the graph is empty or not connected, or for
-// Strategy::kRfpfl, whose replay draws first (GraphReplay::DrawAtRandom).
+// Strategy::kGiven, whose replay has to be told first (GraphReplay::Choose).
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options,
                               const AfterStep<Pose>& after_step = nullptr);

@@ -11,9 +11,9 @@
 
 namespace terse {
 
-// kApal: all poses, all links. kApfl: all poses, those links that pass the tests. kFpfl: few poses, few links. kRfpfl:
-// the poses and links that the input names, drawn at random beforehand (GraphReplay::DrawAtRandom): the baseline.
-enum class Strategy { kApal, kApfl, kFpfl, kRfpfl };
+// kApal: all poses, all links. kApfl: all poses, those links that pass the tests. kFpfl: few poses, few links. kGiven:
+// the poses and links that the input names (CompactInput::keep, loops), however they were chosen.
+enum class Strategy { kApal, kApfl, kFpfl, kGiven };
 const char* Name(Strategy strategy);
 
 // What a Decision keeps of the search: nothing but counts, what was registered, or also the best of what was not.
@@ -48,7 +48,7 @@ struct CompactOptions {
   DistanceOptions distance;                                 // how angles are measured, 3D only
   CompositionOrder composition = CompositionOrder::kFirst;  // of the chains over dropped poses
   // A link whose innovation a correct one exceeds with less than the remaining probability is taken for wrong, before
-  // its information counts. Absent: no test. AddPose of kApal and kRfpfl does not test.
+  // its information counts. Absent: no test. AddPose of kApal and kGiven does not test.
   std::optional<double> innovation_quantile = kInnovationQuantile;
   // So many refused links of different poses that agree with each other are right after all: it is the map that is off,
   // as after odometry that was worse than its covariance says. At least 2.
@@ -76,10 +76,10 @@ struct CompactInput {
   // nothing else is registered. One to a dropped pose is carried to the kept pose which that hangs on. Each is used
   // once.
   std::optional<std::vector<RelativePoseFactor<Pose>>> loops = std::nullopt;
-  // The poses known to be linkable, if known: kApal and kRfpfl register these (twice if named twice) instead of
+  // The poses known to be linkable, if known: kApal and kGiven register these (twice if named twice) instead of
   // searching. Without `loops` only.
   std::optional<std::vector<PoseId>> linkable = std::nullopt;
-  bool drawn = false;  // kRfpfl: keep it
+  bool keep = false;  // kGiven
 };
 
 }  // namespace terse

@@ -4,7 +4,7 @@
 #include <optional>
 #include <vector>
 
-#include "terse/core/incremental_options.h"
+#include "terse/core/step_report.h"
 
 namespace terse {
 
@@ -25,13 +25,13 @@ struct Candidate {
   std::optional<PoseId> carried_from;  // the dropped pose that the loop was measured at
 };
 
-enum class PoseVerdict { kFirst, kAllKept, kLoopClosed, kPrior, kNothingInRange, kInformative, kRedundant, kDrawn };
+enum class PoseVerdict { kFirst, kAllKept, kLoopClosed, kPrior, kNothingInRange, kInformative, kRedundant, kGiven };
 const char* Name(PoseVerdict verdict);
 
 struct Decision {
   PoseId id;
   // In the order they were settled, as last evaluated; of those not tried the best by gain (CompactOptions::record).
-  // With kApal and kRfpfl: what was registered, without probabilities and gains.
+  // With kApal and kGiven: what was registered, without probabilities and gains.
   std::vector<Candidate> candidates;
   int candidates_found = 0;  // all of them
   PoseVerdict verdict = PoseVerdict::kFirst;

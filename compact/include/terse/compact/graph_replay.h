@@ -22,10 +22,11 @@ class GraphReplay {
 
   // In order of arrival. Odometry is the edge to the latest earlier pose; the other edges are links.
   const std::vector<CompactInput<Pose>>& Inputs() const { return inputs_; }
-  // For Strategy::kRfpfl: names so many poses, the first one among them, and so many of the links between them, or all
-  // if there are not as many. Same seed, same choice.
-  void DrawAtRandom(int poses, int links, std::uint64_t seed);
+  // The edges beside the odometry, in the order in which they come.
+  const std::vector<RelativePoseFactor<Pose>>& Links() const { return links_; }
   int LinksOffered() const { return static_cast<int>(links_.size()); }
+  // For Strategy::kGiven: these poses, by their place in the order of arrival, and these of the Links().
+  void Choose(const std::vector<int>& poses, const std::vector<int>& links);
 
   // The file as a sensor, for inputs without their `loops`: the edge between the two, each edge once: a second call
   // gives the next of several, then none. So one replay serves one such run. Refers to this object.

@@ -39,7 +39,7 @@ template <class Pose>
 class MeasurementStream {
  public:
   // `slam` outlives the stream, and only the stream adds poses to it. Throws std::invalid_argument for
-  // Strategy::kRfpfl, which must know the poses beforehand.
+  // Strategy::kGiven, which must know the poses beforehand.
   explicit MeasurementStream(CompactPoseSlam<Pose>& slam);
 
   std::vector<StreamOutcome> Add(const Factor<Pose>& factor);

@@ -1,16 +1,16 @@
 #pragma once
-// How much an incremental step re-optimises, and what it reports.
+// How much an incremental step re-optimises. What it reports is in step_report.h.
 //
 // A step adds its factors to the Cholesky factor, asks the gate whether the map is optimised at all, and then carries
 // the Gauss-Newton step in one of two ways. All published variants are settings of these options (PolicyOptions).
 // Sources: Arablouei 2026, "Efficient Incremental SLAM via Information-Guided and Selective Optimization" (gates,
 // partial optimisation); Kaess et al. 2012 (estimate = linearisation point + d).
 
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
 
-#include "terse/core/block_cholesky.h"
 #include "terse/core/log.h"
 #include "terse/core/pose_graph.h"
 #include "terse/core/robust.h"
@@ -41,6 +41,18 @@ enum class DecreaseScale {
   kAbsolute,  // of chi2 itself
   kChi2,      // relative to the linearised chi2 at its minimum
   kDof,       // relative to the scalars measured beyond those estimated (at least one)
+};
+
+// The work of a step of Carry::kPoint, for those who count it by a model of their own. Poses by their indices.
+struct PointWork {
+  enum class Kind {
+    kEntered,       // before the first iteration: the poses from `first` on came with this step
+    kSolved,        // back-substitution
+    kRelinearised,  // linear factors linearised and refactored anew
+  };
+  Kind kind = Kind::kEntered;
+  int first = 0;
+  const std::vector<int>* poses = nullptr;  // solved for or relinearised; all if null
 };
 
 struct IncrementalOptions {
@@ -99,9 +111,8 @@ struct IncrementalOptions {
 
   // kOffset: fill in StepReport::actual_decrease (evaluates all factors twice, outside the time that is reported).
   bool report_cost = false;
-  // kPoint: fill in StepReport::paper_*_flops (orders the whole graph anew in each step, as the code published with
-  // Arablouei 2026 does).
-  bool report_paper_flops = false;
+  // Is told of a step's work as it goes on. Its time is not the step's; it is not stored with a solver.
+  std::function<void(const PointWork&)> on_point_work;
 
   LogSink log;  // log.h
 };
@@ -116,28 +127,5 @@ std::string FindDefect(const IncrementalOptions& options);
 // set.
 enum class Policy { kDefault, kGn1, kGni, kGniLcg, kGniIgg, kGniSpo, kGniSpoLcg, kGniSpoIgg };
 IncrementalOptions PolicyOptions(Policy policy);
-
-struct StepReport {
-  std::vector<FactorId> factor_ids;         // one per added factor
-  CholeskyPath path = CholeskyPath::kNone;  // of the added and removed factors
-  int fronts_updated = 0;                   // by rank-k update
-  int fronts_refactored = 0;                // all iterations
-  int variables_refactored = 0;
-  bool gate_open = true;
-  double gate_value = 0;  // in the gate's unit
-  int iterations = 0;     // Gauss-Newton steps taken
-  int variables_relinearised = 0;
-  int variables_moved = 0;        // whose estimate changed
-  double predicted_decrease = 0;  // of chi2 by this step, linearised; kPoint: of the full step if the gate is open
-  double actual_decrease = 0;     // of chi2; if report_cost, and always in kPoint
-  double gain_nats = 0;           // of the new factors about the poses known before; less the anchor's if it changes
-  bool restarted = false;         // the map went over to another, lower minimum (IncrementalOptions::restart)
-  int deferred_relinearisations = 0;
-  int deferred_fronts = 0;  // subtrees that back-substitution left for later
-  double flops = 0;         // factorisation: squared column counts, and 4 k times the entries for rank-k updates
-  double solve_flops = 0;   // back-substitution: twice the entries visited
-  double paper_update_flops = 0, paper_solve_flops = 0;
-  double seconds = 0;  // of the update, without counting the paper's flops
-};
 
 }  // namespace terse

@@ -31,6 +31,7 @@
 #include "terse/core/graph_update.h"
 #include "terse/core/incremental_options.h"
 #include "terse/core/pose_graph.h"
+#include "terse/core/step_report.h"
 
 namespace terse {
 

@@ -8,7 +8,7 @@
 
 #include <vector>
 
-#include "terse/core/block_cholesky.h"
+#include "terse/core/incremental_solver.h"
 
 namespace terse::internal {
 
@@ -28,6 +28,29 @@ class PaperFlops {
 
  private:
   std::vector<double> kappa_, kappa2_;  // by variable, summed over its scalars
+};
+
+// Counts the work of a solver's steps, whose options have its Sink(). Carry::kPoint.
+template <class Pose>
+class PaperFlopsMeter {
+ public:
+  struct Flops {
+    double update = 0, solve = 0;
+  };
+  // Before the first update.
+  void Watch(const IncrementalSolver<Pose>& solver) { solver_ = &solver; }
+  std::function<void(const PointWork&)> Sink() {
+    return [this](const PointWork& work) { Count(work); };
+  }
+  // Of the last step that optimised.
+  const Flops& OfLastStep() const { return flops_; }
+
+ private:
+  void Count(const PointWork& work);
+
+  const IncrementalSolver<Pose>* solver_ = nullptr;
+  PaperFlops paper_;  // of the graph at the step's beginning
+  Flops flops_;
 };
 
 }  // namespace terse::internal

@@ -94,11 +94,12 @@ void Serialize(Archive& archive, IncrementalOptions& options) {
   auto& [carry, gate, gate_threshold, decrease_scale, relinearize_tolerance, relinearize_metres, relinearize_radians,
          relinearize_interval, propagation_tolerance, max_iterations, step_metres, step_radians, partial,
          partial_neighbours, guard, budget_seconds, anchor_information, robust, reweigh_tolerance, restart, threads,
-         report_cost, report_paper_flops, log] = options;  // the log is not stored
+         report_cost, on_point_work, log] = options;  // the last two are not stored
+  bool was_an_option = false;                         // of files of before
   archive(carry, gate, gate_threshold, decrease_scale, relinearize_tolerance, relinearize_metres, relinearize_radians,
           relinearize_interval, propagation_tolerance, max_iterations, step_metres, step_radians, partial,
           partial_neighbours, guard, budget_seconds, anchor_information, robust, reweigh_tolerance, restart, threads,
-          report_cost, report_paper_flops);
+          report_cost, was_an_option);
   if constexpr (Archive::kReads) {
     const std::string defect = FindDefect(options);
     if (!defect.empty()) archive.Fail(defect);
