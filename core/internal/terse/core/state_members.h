@@ -8,7 +8,7 @@ namespace terse {
 
 template <class Archive>
 void Serialize(Archive& archive, SE2& T) {
-  auto p = T.Translation();
+  auto p = T.Translation();  // NOLINT(performance-unnecessary-copy-initialization): reading writes to it.
   double theta = T.Theta();
   archive(p, theta);
   if constexpr (Archive::kReads) T = SE2(p, theta);
@@ -17,7 +17,7 @@ void Serialize(Archive& archive, SE2& T) {
 // Its constructor leaves a unit quaternion as it is.
 template <class Archive>
 void Serialize(Archive& archive, SE3& T) {
-  auto p = T.Translation();
+  auto p = T.Translation();  // NOLINT(performance-unnecessary-copy-initialization): reading writes to it.
   Vector<4> q = T.Rotation().Unit().coeffs();  // x y z w
   archive(p, q);
   if constexpr (Archive::kReads) T = SE3(SO3(Quaternion(q[3], q[0], q[1], q[2])), p);
