@@ -142,7 +142,7 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
 // The random baseline keeps as many poses and links as a run by information does.
 template <class Pose>
 void ChooseAtRandom(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings, const CompactCommandOptions& options,
-                  GraphReplay<Pose>& replay) {
+                    GraphReplay<Pose>& replay) {
   GraphReplay<Pose> informed(graph);
   settings.strategy = Strategy::kFpfl;
   const CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), informed, "count", options.quiet);
