@@ -333,6 +333,7 @@ CompactMapFile ReadCompactMap(const std::string& path) {
   if (root.Has("strategy")) {
     const std::vector<Strategy> strategies = {Strategy::kApal, Strategy::kApfl, Strategy::kFpfl, Strategy::kGiven};
     std::vector<std::string> names;
+    names.reserve(strategies.size());
     for (const Strategy strategy : strategies) names.emplace_back(Name(strategy));
     file.strategy = strategies[root.At("strategy", "a strategy").Choice(names)];
   }

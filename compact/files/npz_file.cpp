@@ -75,7 +75,8 @@ void WriteNpz(const std::vector<NpzArray>& arrays, const std::string& path) {
       throw FileError(path, 0, "the arrays are more than the 4 GiB that a zip file can hold");
     }
     const std::string entry = Entry(name, content);
-    const std::string local = "PK\x03\x04" + entry + name;
+    std::string local = "PK\x03\x04";
+    local.append(entry).append(name);
     file.Stream() << local << content;
     directory += "PK\x01\x02";
     Put(directory, 20, 2);  // made by version 2.0
