@@ -86,17 +86,15 @@ report-page: ## bundle examples/report/src into examples/report/report.html, whi
 	@cd examples/report && npm ci --loglevel=error && npm run --silent build
 
 # The poses kept are what this picture is about, not how well each place is known: no ellipses.
-picture_graph = $(GRAPHS)/3d/kitti00_all_loops.g2o
-picture_truth = $(GRAPHS)/../kitti/poses/00.txt
-readme-picture: all ## draw the README's picture from KITTI 00, all poses and links beside those kept; GRAPHS=folder of the public graphs
+readme-picture: all ## draw the README's picture from a generated city, all poses and links beside those kept
 	@.ci/packages $(plot_packages)
 	@rm -rf build/pictures && mkdir -p build/pictures
-	@cd build/pictures && draw() { \
-	    ../bin/terse compact "$(abspath $(picture_graph))" --strategy $$1 --auto-thresholds \
-	      --ground-truth "$(abspath $(picture_truth))" --output "$$2" && sed -i 1q "$$2/covariances.csv"; \
+	@cd build/pictures && ../bin/terse generate manhattan --poses 10000 --output city.g2o --ground-truth city.tum --quiet && \
+	  draw() { \
+	    ../bin/terse compact city.g2o --strategy $$1 --ground-truth city.tum --output "$$2" && sed -i 1q "$$2/covariances.csv"; \
 	  } && draw apal "All poses and links" && draw fpfl "Only what carries information" && \
-	  ../bin/terse plot "All poses and links" "Only what carries information" --what trajectory --format png --output . --quiet
-	@cp build/pictures/comparison_trajectory.png docs/images/kitti00.png
+	  ../bin/terse plot "All poses and links" "Only what carries information" --what trajectory --output . --quiet
+	@rsvg-convert --width 1000 build/pictures/comparison_trajectory.svg --output docs/images/city.png
 
 install: all ## install the command, the library and its headers to PREFIX (default /usr/local; DESTDIR is obeyed)
 	@DESTDIR='$(DESTDIR)' cmake --install build --prefix '$(PREFIX)'

@@ -141,7 +141,6 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
   UpdateReport report;
   next_version_ = internal::NextVersion();
   typename BlockSystem<B>::Undo undo;
-  undo.variables = Variables();
   const auto take_back = [&] {
     parts_->region.Clear();
     system_.Revert(undo);

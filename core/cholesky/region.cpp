@@ -30,8 +30,8 @@ void Region<B>::TakeAffected(const UpdateContext<B>& update) {
 
 template <int B>
 void Region<B>::TakeAll(const FrontTree<B>& tree) {
-  fronts_ = tree.TopDown();
   is_taken_.resize(At(tree.Size()), 0);
+  fronts_ = tree.TopDown();
   for (const int f : fronts_) is_taken_[At(f)] = 1;
 }
 
@@ -97,8 +97,8 @@ template <int B>
 typename Region<B>::Couplings Region<B>::Collect(const UpdateContext<B>& update, bool with_added) {
   local_.resize(At(update.system.Variables()), -1);
   const auto take = [&](int v) {
-    local_[At(v)] = static_cast<int>(variables_.size());
     variables_.push_back(v);
+    local_[At(v)] = static_cast<int>(variables_.size()) - 1;
   };
   for (const int f : fronts_) {
     for (const int v : update.tree[f].pivots) take(v);
