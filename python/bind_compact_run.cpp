@@ -91,9 +91,27 @@ auto ReadSlam(const Compacted& run, const F& f) {
   return std::visit([&](const auto& slam) { return f(*slam); }, run.slam.slam);
 }
 
-}  // namespace
+py::tuple PickledRun(const Compacted& r) {
+  return py::make_tuple(r.slam, r.decisions, r.step_seconds, r.links_offered, r.registrations_tried, r.links_refused,
+                        r.solution, PairOf(r.scale.odometry), PairOf(r.scale.loops));
+}
 
-void BindCompactRun(py::module_& module) {
+Compacted UnpickledRun(const py::tuple& s) {
+  const auto scale = [&](std::size_t k) {
+    const auto [translation, rotation] = s[k].cast<std::pair<double, double>>();
+    return KindScale{translation, rotation};
+  };
+  return Compacted{s[0].cast<Slam>(),
+                   s[1].cast<std::vector<Decision>>(),
+                   s[2].cast<std::vector<double>>(),
+                   s[3].cast<int>(),
+                   s[4].cast<int>(),
+                   s[5].cast<int>(),
+                   s[6].cast<Solution>(),
+                   {scale(7), scale(8)}};
+}
+
+void BindRun(py::module_& module) {
   py::class_<Compacted> type(module, "CompactRun", "A stored graph after compact pose SLAM (compact).");
   type.def_property_readonly(
           "slam", [](const Compacted& r) { return r.slam; },
@@ -130,25 +148,13 @@ void BindCompactRun(py::module_& module) {
           "trajectory", [](const Compacted& r, const std::string& recovery) { return TrajectoryOf(r.slam, recovery); },
           py::arg("recovery") = "v2", "All poses in order of arrival (CompactTrajectory), as CompactPoseSlam has it.")
       .def("__repr__", &Describe)
-      .def(py::pickle(
-          [](const Compacted& r) {
-            return py::make_tuple(r.slam, r.decisions, r.step_seconds, r.links_offered, r.registrations_tried,
-                                  r.links_refused, r.solution, PairOf(r.scale.odometry), PairOf(r.scale.loops));
-          },
-          [](const py::tuple& s) {
-            const auto scale = [&](std::size_t k) {
-              const auto [translation, rotation] = s[k].cast<std::pair<double, double>>();
-              return KindScale{translation, rotation};
-            };
-            return Compacted{s[0].cast<Slam>(),
-                             s[1].cast<std::vector<Decision>>(),
-                             s[2].cast<std::vector<double>>(),
-                             s[3].cast<int>(),
-                             s[4].cast<int>(),
-                             s[5].cast<int>(),
-                             s[6].cast<Solution>(),
-                             {scale(7), scale(8)}};
-          }));
+      .def(py::pickle(&PickledRun, &UnpickledRun));
+}
+
+}  // namespace
+
+void BindCompactRun(py::module_& module) {
+  BindRun(module);
   module.def(
       "compact", &Compact, py::arg("graph"), py::arg("options") = py::none(), py::kw_only(),
       py::arg("strategy") = py::none(), py::arg("progress") = py::none(),

@@ -156,6 +156,23 @@ void BindStepReport(py::module_& module) {
 
 using Type = py::class_<Solver>;
 
+void BindSteps(Type& type) {
+  type.def(py::init(&MakeSolver), py::arg("dimension"), py::arg("options") = py::none(),
+           "dimension: 2 or 3. options: IncrementalOptions.")
+      .def("update", &Update, py::kw_only(), py::arg("poses") = py::tuple(), py::arg("factors") = py::tuple(),
+           py::arg("removed") = std::vector<std::int64_t>(), py::arg("fixed") = py::tuple(),
+           "Takes one step (StepReport).\n\n"
+           "poses: ids of new poses, or a dict from ids to T_world_body ((3,), (3, 3), (7,), (4, 4) or None).\n"
+           "factors: RelativePose, PosePrior and PositionPrior objects. removed: ids of measurements that go.\n"
+           "fixed: ids of those new poses that are anchored at their values.\n"
+           "ValueError, UnobservableError or NumericalError, and then nothing has changed. Without the GIL.")
+      .def("finish", &Finish, py::kw_only(), py::arg("method") = "levenberg_marquardt", py::arg("max_iterations") = 200,
+           py::arg("progress") = py::none(),
+           "Iterates to the batch optimum (Solution), which becomes the linearisation point; arguments as of solve. "
+           "Without "
+           "the GIL.");
+}
+
 void BindEstimates(Type& type) {
   type.def_property_readonly(
           "dimension", [](const Solver& s) { return DimensionOf(s.solver); }, "2 or 3.")
@@ -192,31 +209,7 @@ void BindEstimates(Type& type) {
           "Poses and measurements so far; the values in it are the poses' initial ones. A copy.");
 }
 
-}  // namespace
-
-void BindIncremental(py::module_& module) {
-  BindStepReport(module);
-  Type type(module, "IncrementalSolver",
-            "Optimisation of a growing pose graph.\n\n"
-            "A new pose starts at the value given with it, else at that of its prior, else at the end of its first "
-            "measurement "
-            "from a known pose. A failed call changes nothing. Any thread may call; calls wait for each other, without "
-            "the GIL.");
-  type.def(py::init(&MakeSolver), py::arg("dimension"), py::arg("options") = py::none(),
-           "dimension: 2 or 3. options: IncrementalOptions.")
-      .def("update", &Update, py::kw_only(), py::arg("poses") = py::tuple(), py::arg("factors") = py::tuple(),
-           py::arg("removed") = std::vector<std::int64_t>(), py::arg("fixed") = py::tuple(),
-           "Takes one step (StepReport).\n\n"
-           "poses: ids of new poses, or a dict from ids to T_world_body ((3,), (3, 3), (7,), (4, 4) or None).\n"
-           "factors: RelativePose, PosePrior and PositionPrior objects. removed: ids of measurements that go.\n"
-           "fixed: ids of those new poses that are anchored at their values.\n"
-           "ValueError, UnobservableError or NumericalError, and then nothing has changed. Without the GIL.")
-      .def("finish", &Finish, py::kw_only(), py::arg("method") = "levenberg_marquardt", py::arg("max_iterations") = 200,
-           py::arg("progress") = py::none(),
-           "Iterates to the batch optimum (Solution), which becomes the linearisation point; arguments as of solve. "
-           "Without "
-           "the GIL.");
-  BindEstimates(type);
+void BindCosts(Type& type) {
   type.def(
           "chi2", [](const Solver& s) { return Read(s, [](const auto& held) { return held.Chi2(); }); },
           "Sum of r' Omega r at the estimate, without robust weights.")
@@ -238,8 +231,11 @@ void BindIncremental(py::module_& module) {
       .def(
           "log_determinant",
           [](const Solver& s) { return Read(s, [](const auto& held) { return held.LogDeterminant(); }); },
-          "ln det H at the linearisation points.")
-      .def(
+          "ln det H at the linearisation points.");
+}
+
+void BindStorage(Type& type) {
+  type.def(
           "save",
           [](const Solver& s, const Path& path) {
             Read(s, [&](const auto& held) {
@@ -251,14 +247,6 @@ void BindIncremental(py::module_& module) {
       .def_static(
           "load", &Load, py::arg("path"),
           "The solver that was saved; it continues bit for bit as that one would have. FileError. Without the GIL.")
-      .def("__repr__",
-           [](const Solver& s) {
-             return Read(s, [&](const auto& held) {
-               return "<terse.IncrementalSolver: " + DimensionText(DimensionOf(s.solver)) + ", " +
-                      Counted(held.Graph().Poses().size(), "pose") + ", " +
-                      Counted(held.Graph().Factors().size(), "factor") + ">";
-             });
-           })
       .def(py::pickle(
           [](const Solver& s) {
             return Read(s, [&](const auto& held) {
@@ -272,6 +260,29 @@ void BindIncremental(py::module_& module) {
                   std::make_shared<Held>(Unpickled<Held>("pickle IncrementalSolver", state[1].cast<py::bytes>()))};
             });
           }));
+}
+
+}  // namespace
+
+void BindIncremental(py::module_& module) {
+  BindStepReport(module);
+  Type type(module, "IncrementalSolver",
+            "Optimisation of a growing pose graph.\n\n"
+            "A new pose starts at the value given with it, else at that of its prior, else at the end of its first "
+            "measurement "
+            "from a known pose. A failed call changes nothing. Any thread may call; calls wait for each other, without "
+            "the GIL.");
+  BindSteps(type);
+  BindEstimates(type);
+  BindCosts(type);
+  BindStorage(type);
+  type.def("__repr__", [](const Solver& s) {
+    return Read(s, [&](const auto& held) {
+      return "<terse.IncrementalSolver: " + DimensionText(DimensionOf(s.solver)) + ", " +
+             Counted(held.Graph().Poses().size(), "pose") + ", " + Counted(held.Graph().Factors().size(), "factor") +
+             ">";
+    });
+  });
   module.def("replay", &ReplayGraph, py::arg("graph"), py::arg("solver"), py::kw_only(), py::arg("every") = "pose",
              py::arg("stored_values") = false, py::arg("after_step") = py::none(),
              "Feeds a stored PoseGraph to an IncrementalSolver as it would have come in online.\n\n"

@@ -109,11 +109,13 @@ constexpr const char* kConvention =
     "frame: 'body', of d in T Exp(d), 'world', of e in Exp(e) T, or 'world_axes', of position and rotation along the "
     "world's axes, as ROS has them. order: 'translation_first' or 'rotation_first'.";
 
-// The queries of a class of marginals.
+using Text = const std::string&;
+
+std::string WithConvention(const std::string& text) { return text + "\n\n" + kConvention; }
+
+// The queries of a class of marginals for covariances of poses each by itself.
 template <class Class, class M = typename Class::type>
-void BindQueries(Class& type) {
-  using Text = const std::string&;
-  const auto doc = [](const std::string& text) { return text + "\n\n" + kConvention; };
+void BindMarginalsOf(Class& type) {
   type.def(
           "marginal",
           [](const M& m, std::int64_t id, Text frame, Text order) {
@@ -121,7 +123,7 @@ void BindQueries(Class& type) {
             return Query(m, [&](const auto& q) { return q.Marginal(PoseId{id}, to); });
           },
           py::arg("pose_id"), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
-          doc("(d, d), d = 3 or 6: the covariance of a pose, square metres and square radians.").c_str())
+          WithConvention("(d, d), d = 3 or 6: the covariance of a pose, square metres and square radians.").c_str())
       .def(
           "marginals",
           [](const M& m, const py::object& ids, Text frame, Text order) {
@@ -131,18 +133,24 @@ void BindQueries(Class& type) {
             return Query(m, [&](const auto& q) { return q.MarginalsOf(list, to); });
           },
           py::arg("ids") = py::none(), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
-          doc("(n, d, d): the covariances of these poses, or of all in the order of ids; the array owns the memory in "
+          WithConvention(
+              "(n, d, d): the covariances of these poses, or of all in the order of ids; the array owns the memory in "
               "which "
               "they were computed, no copy is made.")
-              .c_str())
-      .def(
+              .c_str());
+}
+
+// And those for covariances between poses.
+template <class Class, class M = typename Class::type>
+void BindJointCovariances(Class& type) {
+  type.def(
           "cross",
           [](const M& m, std::int64_t a, std::int64_t b, Text frame, Text order) {
             const auto to = ConventionFrom(frame, order);
             return Query(m, [&](const auto& q) { return q.Cross(PoseId{a}, PoseId{b}, to); });
           },
           py::arg("a"), py::arg("b"), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
-          doc("(d, d): Cov(d_a, d_b); rows are a's.").c_str())
+          WithConvention("(d, d): Cov(d_a, d_b); rows are a's.").c_str())
       .def(
           "column",
           [](const M& m, std::int64_t of, const py::object& ids, Text frame, Text order) {
@@ -152,7 +160,9 @@ void BindQueries(Class& type) {
           },
           py::arg("of"), py::arg("ids"), py::kw_only(), py::arg("frame") = "body",
           py::arg("order") = "translation_first",
-          doc("(n, d, d): Cov(d_id, d_of) for every id; rows are the id's. Owns its memory, no copy is made.").c_str())
+          WithConvention(
+              "(n, d, d): Cov(d_id, d_of) for every id; rows are the id's. Owns its memory, no copy is made.")
+              .c_str())
       .def(
           "joint",
           [](const M& m, const py::object& ids, Text frame, Text order) {
@@ -161,7 +171,8 @@ void BindQueries(Class& type) {
             return Query(m, [&](const auto& q) { return q.Joint(list, to); });
           },
           py::arg("ids"), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
-          doc("(n d, n d): the covariance of the stacked poses, in the order given. Owns its memory, no copy is made.")
+          WithConvention(
+              "(n d, n d): the covariance of the stacked poses, in the order given. Owns its memory, no copy is made.")
               .c_str())
       .def(
           "relative",
@@ -170,8 +181,15 @@ void BindQueries(Class& type) {
             return Query(m, [&](const auto& q) { return q.Relative(PoseId{a}, PoseId{b}, to); });
           },
           py::arg("a"), py::arg("b"), py::kw_only(), py::arg("frame") = "body", py::arg("order") = "translation_first",
-          doc("(d, d): the covariance of T_a_b = T_world_a^-1 T_world_b; 'body' is b's frame, 'world' is a's.")
+          WithConvention(
+              "(d, d): the covariance of T_a_b = T_world_a^-1 T_world_b; 'body' is b's frame, 'world' is a's.")
               .c_str());
+}
+
+template <class Class>
+void BindQueries(Class& type) {
+  BindMarginalsOf(type);
+  BindJointCovariances(type);
 }
 
 void BindReport(py::module_& module) {

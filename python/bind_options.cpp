@@ -150,23 +150,7 @@ void BindArrays(Compact& type) {
           "(3,): the sensor's view direction in the body frame, in space. A copy.");
 }
 
-void BindCompactOptions(py::module_& module) {
-  Compact type(module, "CompactOptions",
-               "What compact pose SLAM keeps. Thresholds.options() fills it from a sample of a run.");
-  type.def(py::init([](int dimension, const py::kwargs& keywords) {
-             const auto settings = ForDimension(dimension, [](auto origin) {
-               return std::make_shared<CompactSettings>(CompactSettings{CompactOptions<decltype(origin)>()});
-             });
-             SetAttributes(py::cast(settings), keywords);
-             return settings;
-           }),
-           py::arg("dimension"), "dimension: 2 or 3. Any attribute can be given by keyword.")
-      .def_property_readonly(
-          "dimension", [](const CompactSettings& s) { return DimensionOf(s.options); }, "2 or 3.");
-  DefWordField(
-      type, "strategy", [](auto& o) -> auto& { return o.strategy; },
-      "'fpfl' (few poses, few links), 'apfl' (all poses, few links), 'apal' (all), 'rfpfl' (as few, drawn at random).");
-  BindArrays(type);
+void BindSearch(Compact& type) {
   DefField(
       type, "probability", [](auto& o) -> auto& { return o.probability; },
       "Every dimension must be in range with more than this.");
@@ -181,6 +165,9 @@ void BindCompactOptions(py::module_& module) {
       type, "record", [](auto& o) -> auto& { return o.record; },
       "What a Decision keeps of the search: 'none' (counts), 'decisions' (what was registered) or 'candidates' (the "
       "best of the others too).");
+}
+
+void BindSelection(Compact& type) {
   DefField(
       type, "min_loop_gain", [](auto& o) -> auto& { return o.min_loop_gain; }, "A link is kept if it adds more, nats.");
   DefField(
@@ -199,6 +186,27 @@ void BindCompactOptions(py::module_& module) {
   DefField(
       type, "consensus", [](auto& o) -> auto& { return o.consensus; },
       "So many refused links that agree with each other are right after all; at least 2.");
+}
+
+void BindCompactOptions(py::module_& module) {
+  Compact type(module, "CompactOptions",
+               "What compact pose SLAM keeps. Thresholds.options() fills it from a sample of a run.");
+  type.def(py::init([](int dimension, const py::kwargs& keywords) {
+             const auto settings = ForDimension(dimension, [](auto origin) {
+               return std::make_shared<CompactSettings>(CompactSettings{CompactOptions<decltype(origin)>()});
+             });
+             SetAttributes(py::cast(settings), keywords);
+             return settings;
+           }),
+           py::arg("dimension"), "dimension: 2 or 3. Any attribute can be given by keyword.")
+      .def_property_readonly(
+          "dimension", [](const CompactSettings& s) { return DimensionOf(s.options); }, "2 or 3.");
+  DefWordField(
+      type, "strategy", [](auto& o) -> auto& { return o.strategy; },
+      "'fpfl' (few poses, few links), 'apfl' (all poses, few links), 'apal' (all), 'rfpfl' (as few, drawn at random).");
+  BindArrays(type);
+  BindSearch(type);
+  BindSelection(type);
   type.def_property(
       "solver",
       [](const CompactSettings& s) {

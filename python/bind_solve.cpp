@@ -115,7 +115,9 @@ py::array PoseOf(const Solution& solution, std::int64_t id) {
   return Visit(solution, [&](const auto& r) { return ArrayOf(r.T_world_body[static_cast<std::size_t>(index)]); });
 }
 
-void BindPoses(py::class_<Solution, std::shared_ptr<Solution>>& type) {
+using Type = py::class_<Solution, std::shared_ptr<Solution>>;
+
+void BindPoses(Type& type) {
   type.def_property_readonly(
           "dimension", [](const Solution& s) { return DimensionOf(s.result); }, "2 or 3.")
       .def_property_readonly(
@@ -140,11 +142,7 @@ void BindPoses(py::class_<Solution, std::shared_ptr<Solution>>& type) {
            "was singular.");
 }
 
-}  // namespace
-
-void BindSolve(py::module_& module) {
-  py::class_<Solution, std::shared_ptr<Solution>> type(module, "Solution", "What a batch optimisation found.");
-  BindPoses(type);
+void BindOutcome(Type& type) {
   type.def_property_readonly(
           "converged", [](const Solution& s) { return Visit(s, [](auto& r) { return r.Converged(); }); },
           "Whether the optimum was reached.")
@@ -184,6 +182,14 @@ void BindSolve(py::module_& module) {
       .def("__repr__",
            [](const Solution& s) { return Visit(s, [](auto& r) { return "<terse.Solution: " + r.message + ">"; }); })
       .def(py::pickle(&PickledSolution, &UnpickledSolution));
+}
+
+}  // namespace
+
+void BindSolve(py::module_& module) {
+  Type type(module, "Solution", "What a batch optimisation found.");
+  BindPoses(type);
+  BindOutcome(type);
   module.def(
       "solve", &Solve, py::arg("graph"), py::kw_only(), py::arg("initial") = "auto",
       py::arg("method") = "levenberg_marquardt", py::arg("max_iterations") = 200, py::arg("relative_tolerance") = 1e-11,

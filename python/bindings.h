@@ -22,4 +22,8 @@ void BindMapFile(pybind11::module_& module);
 void BindCompact(pybind11::module_& module);
 void BindCompactRun(pybind11::module_& module);
 
+// What makes a part too long for one file: adds to the class that the part has made.
+struct Slam;
+void BindCompactAdding(pybind11::class_<Slam>& type);
+
 }  // namespace terse::python
