@@ -3,18 +3,11 @@
 #include <algorithm>
 
 #include "compact_pose_slam_parts.h"
+#include "terse/compact/words.h"
 
 namespace terse {
 
-const char* Name(Strategy strategy) {
-  switch (strategy) {
-    case Strategy::kApal: return "apal";
-    case Strategy::kApfl: return "apfl";
-    case Strategy::kFpfl: return "fpfl";
-    case Strategy::kGiven: return "rfpfl";
-  }
-  return "unknown";
-}
+const char* Name(Strategy strategy) { return WordOf(strategy); }
 
 const char* Name(PoseVerdict verdict) {
   switch (verdict) {

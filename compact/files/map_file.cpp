@@ -5,6 +5,7 @@
 
 #include "terse/compact/compact_json.h"
 #include "terse/compact/json_file.h"
+#include "terse/compact/words.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/number_text.h"
@@ -331,11 +332,9 @@ CompactMapFile ReadCompactMap(const std::string& path) {
   const std::int64_t d = dimension.Integer();
   if (d != 2 && d != 3) dimension.FailExpecting("2 or 3");
   if (root.Has("strategy")) {
-    const std::vector<Strategy> strategies = {Strategy::kApal, Strategy::kApfl, Strategy::kFpfl, Strategy::kGiven};
-    std::vector<std::string> names;
-    names.reserve(strategies.size());
-    for (const Strategy strategy : strategies) names.emplace_back(Name(strategy));
-    file.strategy = strategies[root.At("strategy", "a strategy").Choice(names)];
+    std::vector<std::string> words;
+    for (const auto& [word, strategy] : Words<Strategy>::kAll) words.emplace_back(word);
+    file.strategy = Words<Strategy>::kAll[root.At("strategy", "a strategy").Choice(words)].second;
   }
   if (root.Has("sigma_scale")) file.information_scale = ReadScale(root.At("sigma_scale", "scales"));
   if (d == 2) {

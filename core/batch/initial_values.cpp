@@ -8,6 +8,7 @@
 #include "terse/core/arrival.h"
 #include "terse/core/position_start.h"
 #include "terse/core/start_values.h"
+#include "terse/core/words.h"
 
 namespace terse {
 namespace {
@@ -112,16 +113,7 @@ void MoveTo(const Pose& T_new_old, std::vector<Pose>& values) {
 
 }  // namespace
 
-const char* Name(InitialValues method) {
-  switch (method) {
-    case InitialValues::kCompose: return "compose";
-    case InitialValues::kFile: return "file";
-    case InitialValues::kTree: return "tree";
-    case InitialValues::kChordal: return "chordal";
-    case InitialValues::kAuto: return "auto";
-  }
-  return "unknown";
-}
+const char* Name(InitialValues method) { return WordOf(method); }
 
 template <class Pose>
 std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValues method) {

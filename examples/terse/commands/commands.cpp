@@ -4,7 +4,6 @@
 #include <iostream>
 
 #include "commands/commands.h"
-#include "commands/policy.h"
 #include "terse/core/number_text.h"
 
 namespace terse {
@@ -29,8 +28,7 @@ std::size_t EditDistance(const std::string& a, const std::string& b) {
 }  // namespace
 
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
-  AddChoice(subcommand, "--rotation-information", options.rotation_information,
-            {{"quaternion", RotationInformation::kQuaternion}, {"radians", RotationInformation::kRadians}},
+  AddChoice(subcommand, "--rotation-information", options.rotation_information, Choices<RotationInformation>(),
             "What the rotation part of EDGE_SE3:QUAT information in the input means: of the quaternion's vector part "
             "(g2o's definition) or of the rotation vector (as GTSAM and Ceres read it)");
   subcommand.add_flag("--repair-information", options.repair_information,
@@ -39,7 +37,7 @@ void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
 
 void AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {
   CLI::Option* kernel =
-      AddChoice(subcommand, "--robust", options.kernel, KernelNames(),
+      AddChoice(subcommand, "--robust", options.kernel, Choices<RobustKernel>(),
                 "The cost of loops, which may be wrong; gnc leaves the wrong ones out (graduated non-convexity)");
   subcommand
       .add_option(

@@ -5,6 +5,7 @@
 #include <CLI/App.hpp>
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
+#include <algorithm>
 #include <cstdint>
 #include <functional>
 #include <nlohmann/json.hpp>
@@ -12,6 +13,7 @@
 
 #include "terse/core/graph_file.h"
 #include "terse/core/robust.h"
+#include "terse/core/words.h"
 
 namespace terse {
 
@@ -57,10 +59,20 @@ CLI::Validator NonNegativeNumber();
 // Warnings on standard error: lines that were skipped, matrices that --repair-information clamped.
 void ReportRepairs(const GraphFile& file, const std::string& path);
 
+// The words of an enumeration (terse/core/words.h) with their values; of these values if any are given.
+template <class E>
+std::vector<std::pair<std::string, E>> Choices(const std::vector<E>& only = {}) {
+  std::vector<std::pair<std::string, E>> out;
+  for (const auto& [word, value] : Words<E>::kAll) {
+    if (only.empty() || std::find(only.begin(), only.end(), value) != only.end()) out.emplace_back(word, value);
+  }
+  return out;
+}
+
 // An option that takes one of a few names; the present value of `target` is the default.
-template <class Value>
+template <class Value, class Choice = Value>
 CLI::Option* AddChoice(CLI::App& subcommand, const std::string& option, Value& target,
-                       const std::vector<std::pair<std::string, Value>>& choices, const std::string& description) {
+                       const std::vector<std::pair<std::string, Choice>>& choices, const std::string& description) {
   std::vector<std::string> names;
   std::string list, preset;
   for (const auto& [name, value] : choices) {

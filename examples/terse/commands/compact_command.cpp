@@ -18,6 +18,7 @@
 #include "terse/compact/random_choice.h"
 #include "terse/compact/run_writer.h"
 #include "terse/compact/thresholds_file.h"
+#include "terse/compact/words.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/stamped_trajectory.h"
@@ -313,11 +314,9 @@ void Compact(CompactCommandOptions options) {
 
 // What to do with which files.
 void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
-  AddChoice(
-      command, "--strategy", options.strategy,
-      {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}, {"rfpfl", Strategy::kGiven}},
-      "All poses all links, all poses few links, few poses few links, or as few at random; --continue goes on as "
-      "before")
+  AddChoice(command, "--strategy", options.strategy, Choices<Strategy>(),
+            "All poses all links, all poses few links, few poses few links, or as few at random; --continue goes on as "
+            "before")
       ->default_str("fpfl");
   command
       .add_option("--continue", options.continued,
@@ -370,21 +369,17 @@ void AddMethodOptions(CLI::App& command, CompactCommandOptions& options) {
       ->type_name("N")
       ->capture_default_str();
   AddChoice(
-      command, "--record", options.record,
-      {{"none", Record::kNone}, {"decisions", Record::kDecisions}, {"candidates", Record::kCandidates}},
+      command, "--record", options.record, Choices<Record>(),
       "What decisions.csv and decisions.jsonl keep of the search at every pose: counts, the links that were tried, "
       "or the best of those not tried too");
   AddInnovationOptions(command, options.innovation_quantile);
   AddRobustOptions(command, options.robust);
-  AddChoice(command, "--composition", options.composition,
-            {{"first", CompositionOrder::kFirst}, {"fourth", CompositionOrder::kFourth}},
+  AddChoice(command, "--composition", options.composition, Choices<CompositionOrder>(),
             "Order of the covariance of chains over dropped poses");
-  AddChoice(command, "--angle", options.angle,
-            {{"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation}},
+  AddChoice(command, "--angle", options.angle, Choices<AngleMeasure>(),
             "The angle of the sensor range in 3D: between the view directions, or of the rotation");
   AddSeedOption(command, options.seed, "Of --strategy rfpfl");
-  AddChoice(command, "--recover", options.recovery,
-            {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
+  AddChoice(command, "--recover", options.recovery, Choices<Recovery>(),
             "How dropped poses come back: as first estimated, chained to the kept pose before them, or fitted between "
             "the kept poses around them");
   AddChoice(

@@ -10,6 +10,7 @@
 #include "run/kitti_run.h"
 #include "terse/compact/run_writer.h"
 #include "terse/compact/thresholds_file.h"
+#include "terse/compact/words.h"
 #include "terse/core/error.h"
 #include "terse/core/writable.h"
 
@@ -122,7 +123,7 @@ void AddKittiCommand(CLI::App& app) {
       ->required()
       ->type_name("DIR");
   AddChoice(*command, "--strategy", options->strategy,
-            {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}},
+            Choices<Strategy>({Strategy::kApal, Strategy::kApfl, Strategy::kFpfl}),
             "All poses all links, all poses few links, or few poses few links");
   command
       ->add_option("--thresholds", options->thresholds,

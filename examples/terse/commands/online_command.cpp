@@ -7,7 +7,6 @@
 #include "commands/commands.h"
 #include "commands/convention_options.h"
 #include "commands/output_paths.h"
-#include "commands/policy.h"
 #include "commands/verbose.h"
 #include "run/journal.h"
 #include "run/line_source.h"
@@ -18,6 +17,7 @@
 #include "terse/compact/json_file.h"
 #include "terse/compact/run_writer.h"
 #include "terse/compact/thresholds_file.h"
+#include "terse/compact/words.h"
 #include "terse/core/measurement_line.h"
 #include "terse/core/require_optimum.h"
 #include "terse/core/stamped_trajectory.h"
@@ -296,7 +296,7 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   json["strategy"] = Name(settings.strategy);
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
-  json["robust"] = Name(options.robust.kernel);
+  json["robust"] = WordOf(options.robust.kernel);
   json["robust_width"] = options.robust.width;
   json["rotation_information"] =
       options.read.rotation_information == RotationInformation::kRadians ? "radians" : "quaternion";
@@ -409,7 +409,7 @@ void AddOnlineCommand(CLI::App& app) {
   AddChoice(*command, "--dimension", options->dimension, {{"2", 2}, {"3", 3}},
             "2D or 3D; by default as the range, or as the first measurement");
   AddChoice(*command, "--strategy", options->strategy,
-            {{"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl}},
+            Choices<Strategy>({Strategy::kApal, Strategy::kApfl, Strategy::kFpfl}),
             "All poses all links, all poses few links, or few poses few links");
   AddThresholdOptions(*command, *options);
   AddRobustOptions(*command, options->robust);
@@ -423,9 +423,7 @@ void AddOnlineCommand(CLI::App& app) {
       ->add_option("--output", options->directory,
                    "Folder for compact.g2o, trajectory.tum and decisions.csv at the end of the input")
       ->type_name("DIR");
-  AddChoice(*command, "--recover", options->recovery,
-            {{"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2}},
-            "How dropped poses come back, see compact");
+  AddChoice(*command, "--recover", options->recovery, Choices<Recovery>(), "How dropped poses come back, see compact");
   command->add_flag("--covariances", options->covariances, "Every answer to a pose has its covariance too");
   AddConventionOptions(*command, options->convention);
   command->add_flag("--strict", options->strict, "Stop at the first bad line");

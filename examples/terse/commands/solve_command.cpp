@@ -6,7 +6,6 @@
 #include "commands/commands.h"
 #include "commands/convention_options.h"
 #include "commands/output_paths.h"
-#include "commands/policy.h"
 #include "commands/start.h"
 #include "commands/verbose.h"
 #include "run/progress.h"
@@ -177,7 +176,7 @@ void AddRobustStats(const PoseGraph<Pose>& graph, const BatchResult<Pose>& resul
     }
     ++k;
   }
-  stats.more["robust"] = {{"kernel", Name(robust.kernel)}, {"width", WidthOf(robust, Pose::kDof)},
+  stats.more["robust"] = {{"kernel", WordOf(robust.kernel)}, {"width", WidthOf(robust, Pose::kDof)},
                           {"cost", result.robust_cost},    {"loops", LoopFactors(graph).size()},
                           {"rejected", rejected.size()},   {"loops_rejected", rejected}};
 }
@@ -294,10 +293,10 @@ std::string FindNumberDefect(const std::string& text) {
 std::vector<CLI::Option*> AddStepOptions(CLI::App& command, SolveOptions& options) {
   std::vector<CLI::Option*> out;
   out.push_back(
-      AddChoice(command, "--policy", options.policy, PolicyNames(),
+      AddChoice(command, "--policy", options.policy, Choices<Policy>(),
                 "How much is re-optimised after each step: this program's way, or one of Arablouei's variants"));
   out.push_back(
-      AddChoice(command, "--gate", options.gate, GateNames(),
+      AddChoice(command, "--gate", options.gate, Choices<Gate>(),
                 "What has to exceed the gate's threshold for a step to be optimised (the policy's by default)"));
   out.push_back(command
                     .add_option("--gate-threshold", options.gate_threshold,
@@ -364,16 +363,11 @@ void AddSolveCommand(CLI::App& app) {
   command->add_option("FILE", options->path, "The graph file (g2o, TORO or iSAM)")->required();
   AddChoice(*command, "--mode", options->mode, {{"batch", Mode::kBatch}, {"incremental", Mode::kIncremental}},
             "All at once, or pose by pose as it would have come in online");
-  AddChoice(*command, "--initial", options->initial,
-            {{"auto", InitialValues::kAuto},
-             {"compose", InitialValues::kCompose},
-             {"file", InitialValues::kFile},
-             {"tree", InitialValues::kTree},
-             {"chordal", InitialValues::kChordal}},
+  AddChoice(*command, "--initial", options->initial, Choices<InitialValues>(),
             "Initial values: composed in order of arrival, the file's, along a spanning tree, or by chordal relaxation "
             "(for much noise); auto: the best of composed, file and chordal after a few steps, with --robust composed. "
             "The incremental mode takes compose (which auto is there) or file");
-  AddChoice(*command, "--every", options->every, {{"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge}},
+  AddChoice(*command, "--every", options->every, Choices<ArrivalUnit>(),
             "What a step of the incremental mode brings: a pose with all its edges, or a single edge");
   const std::vector<CLI::Option*> step_options = AddStepOptions(*command, *options);
   AddRobustOptions(*command, options->robust);

@@ -9,7 +9,6 @@
 #include <sstream>
 
 #include "commands/commands.h"
-#include "commands/policy.h"
 #include "run/ground_truth.h"
 #include "run/progress.h"
 #include "run/run_statistics.h"
@@ -86,7 +85,7 @@ Row RunPolicy(const PoseGraph<SE2>& graph, const std::vector<SE2>& optimum, cons
   Row row;
   row.graph = set.name;
   row.initial = stored_values ? "file" : "compose";
-  row.policy = Name(policy);
+  row.policy = WordOf(policy);
   const ReplayOptions replay{ArrivalUnit::kEdge, stored_values};
   IncrementalOptions options = OptionsFor(policy, set);
   Progress progress(row.graph + " " + row.initial + " " + row.policy, static_cast<long>(graph.Factors().size()), quiet);
@@ -130,7 +129,7 @@ std::vector<Row> RunGraph(const PoseGraph<SE2>& graph, const DataSet& set, const
   std::vector<Row> rows;
   for (const bool stored : {true, false}) {
     if (options.initial == (stored ? Initial::kCompose : Initial::kFile)) continue;
-    for (const auto& [name, policy] : PolicyNames()) {
+    for (const auto& [name, policy] : Words<Policy>::kAll) {
       if (policy == Policy::kDefault && stored) continue;  // has no counterpart in the paper
       if (!IsChosen(name, options.policies)) continue;
       rows.push_back(RunPolicy(graph, optimum.T_world_body, set, policy, stored, options.quiet));
@@ -229,7 +228,7 @@ void AddTableCommand(CLI::App& app) {
       ->delimiter(',')
       ->type_name("NAME,...");
   names.clear();
-  for (const auto& policy : PolicyNames()) names.push_back(policy.first);
+  for (const auto& [name, policy] : Words<Policy>::kAll) names.emplace_back(name);
   command->add_option("--policies", options->policies, "Only these policies")
       ->check(OneOf(names))
       ->delimiter(',')

@@ -11,6 +11,7 @@
 #include "pictures/svg_chart.h"
 #include "terse/compact/decision.h"
 #include "terse/compact/json_file.h"
+#include "terse/core/words.h"
 
 namespace terse {
 namespace {
@@ -144,7 +145,7 @@ Json ToJson(const RunFolder& run) {
   out["covariances"] = Covariances(run);
   out["steps"] = Steps(run);
   // That of compact runs, which the command offers no choice of.
-  out["gate"] = "newton_decrement";
+  out["gate"] = WordOf(Gate::kNewtonDecrement);
   out["gate_unit"] = "share of chi2";
   out["thresholds"] = ParseJson<Json>(run.thresholds_json, run.path + "/thresholds.json");
   out["thresholds"].erase("link_covariance");

@@ -10,6 +10,7 @@
 
 #include "terse/core/linear_factor.h"
 #include "terse/core/number_text.h"
+#include "terse/core/words.h"
 
 namespace terse {
 namespace {
@@ -87,20 +88,6 @@ nlohmann::ordered_json ToJson(const Stats& stats) {
   return json;
 }
 
-namespace {
-
-const char* Name(CholeskyPath path) {
-  switch (path) {
-    case CholeskyPath::kNone: return "none";
-    case CholeskyPath::kAppended: return "appended";
-    case CholeskyPath::kRankUpdate: return "rank_update";
-    case CholeskyPath::kRefactored: return "refactored";
-  }
-  return "";
-}
-
-}  // namespace
-
 void WriteStepsHeader(std::ostream& out) {
   out << "step,poses,factors,factor_ids,path,fronts_updated,fronts_refactored,variables_refactored,gate_open,gate_"
          "value,"
@@ -113,7 +100,7 @@ void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factor
   const StepReport& r = step.report;
   out << step.index + 1 << ',' << poses << ',' << factors << ',';
   for (std::size_t k = 0; k < r.factor_ids.size(); ++k) out << (k > 0 ? " " : "") << r.factor_ids[k].value;
-  out << ',' << Name(r.path) << ',' << r.fronts_updated << ',' << r.fronts_refactored << ',' << r.variables_refactored
+  out << ',' << WordOf(r.path) << ',' << r.fronts_updated << ',' << r.fronts_refactored << ',' << r.variables_refactored
       << ',' << (r.gate_open ? 1 : 0) << ',' << Shortest(r.gate_value) << ',' << r.iterations << ','
       << r.variables_relinearised << ',' << r.variables_moved << ',' << Shortest(r.predicted_decrease) << ','
       << Shortest(r.actual_decrease) << ',' << Shortest(r.gain_nats) << ',' << r.deferred_relinearisations << ','

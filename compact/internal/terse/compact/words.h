@@ -1,0 +1,19 @@
+#pragma once
+// The words of the enumerations of compact pose SLAM, as those of core (terse/core/words.h).
+
+#include "terse/compact/compact_pose_slam.h"
+#include "terse/core/words.h"
+
+namespace terse {
+
+// "rfpfl": as few poses and links as fpfl keeps, drawn at random, is what the command gives Strategy::kGiven.
+TERSE_WORDS(Strategy, "strategy", {"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl},
+            {"rfpfl", Strategy::kGiven});
+TERSE_WORDS(Record, "record", {"none", Record::kNone}, {"decisions", Record::kDecisions},
+            {"candidates", Record::kCandidates});
+TERSE_WORDS(AngleMeasure, "angle", {"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation});
+TERSE_WORDS(CompositionOrder, "composition", {"first", CompositionOrder::kFirst},
+            {"fourth", CompositionOrder::kFourth});
+TERSE_WORDS(Recovery, "recovery", {"v0", Recovery::kV0}, {"v1", Recovery::kV1}, {"v2", Recovery::kV2});
+
+}  // namespace terse
