@@ -72,15 +72,13 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, c
 }
 
 template <class Pose>
-Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<Pose>& options, SampleOptions sample) {
-  sample.probability = options.probability;
+SampledThresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<Pose>& options,
+                                         SampleOptions sample) {
+  sample.probability = options.thresholds.probability;
   sample.distance = options.distance;
   sample.innovation_quantile = options.innovation_quantile;
-  Thresholds<Pose> chosen = SelectThresholds(graph, sample);
-  options.range = chosen.range;
-  options.min_loop_gain = chosen.min_loop_gain;
-  options.min_pose_gain = chosen.min_pose_gain;
-  options.link_covariance = chosen.link_covariance;
+  SampledThresholds<Pose> chosen = SelectThresholds(graph, sample);
+  options.thresholds = chosen.thresholds;
   return chosen;
 }
 
@@ -91,7 +89,7 @@ Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<P
   template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&,                    \
                                                const AfterStep<Pose>&);                                                \
   template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, Strategy, const AfterStep<Pose>&);              \
-  template Thresholds<Pose> SampleThresholds<Pose>(const PoseGraph<Pose>&, CompactOptions<Pose>&, SampleOptions);
+  template SampledThresholds<Pose> SampleThresholds<Pose>(const PoseGraph<Pose>&, CompactOptions<Pose>&, SampleOptions);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -84,8 +84,8 @@ void CompactPoseSlam<Pose>::LogLink(PoseId a, PoseId b, const Candidate& record,
                                          : " tells too little: gain ";
   const LogLevel level = good || IsRefused(record) ? LogLevel::kInfo : LogLevel::kDebug;
   internal::Log(options_.log, level, "link ", a.value, " - ", b.value, what, *record.measured_gain, " nats (threshold ",
-                options_.min_loop_gain, "), innovation ", record.innovation.value_or(0), " (at most ", most_innovation_,
-                record.supported ? ", but other refused links agree)" : ")");
+                options_.thresholds.min_loop_gain, "), innovation ", record.innovation.value_or(0), " (at most ",
+                most_innovation_, record.supported ? ", but other refused links agree)" : ")");
 }
 
 // Whether a registered link of the measured gain is to be added: between record.id and the pose at hand, or two poses
@@ -102,7 +102,7 @@ bool CompactPoseSlam<Pose>::PassesTests(const Current* current, const UncertainP
     record.supported = IsSupported(*current, record.id, measured);
     if (!record.supported) RememberRefused(*current, record.id, measured);
   }
-  return !IsRefused(record) && *record.measured_gain > options_.min_loop_gain;
+  return !IsRefused(record) && *record.measured_gain > options_.thresholds.min_loop_gain;
 }
 
 // Tests a registered link and adds it if it passes. Whether it did.
@@ -177,7 +177,7 @@ bool CompactPoseSlam<Pose>::IsCostlyToCarry(const Offer& offer, const UncertainP
   const auto& direct = SeenFrom(*offer.carried_from, offer.measured).covariance;
   return InformationGain<Pose::kDof>(known.covariance, direct) -
              InformationGain<Pose::kDof>(known.covariance, offer.T_kept_current.covariance) >
-         options_.min_loop_gain;
+         options_.thresholds.min_loop_gain;
 }
 
 // Which poses may be linked, and what the least informative of the links that are surely possible would tell: from
@@ -187,7 +187,7 @@ void CompactPoseSlam<Pose>::Search(Current& current, Decision& decision, const R
   const bool registers = registration != nullptr && !current.input->loops;
   std::vector<Evaluated> candidates = Evaluate(current, InReach(current, registers), registers);
   for (const Evaluated& e : candidates) {
-    if (e.record.probability <= options_.probability) continue;
+    if (e.record.probability <= options_.thresholds.probability) continue;
     decision.pose_gain = std::min(decision.pose_gain.value_or(e.record.gain), e.record.gain);
   }
   for (size_t k = 0; k < current.offers.size(); ++k) {
@@ -210,7 +210,7 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated> 
     Evaluated* best = nullptr;
     for (Evaluated& e : candidates) {
       const bool asks = e.ask.offer >= 0 || registration != nullptr;
-      if (!asks || e.record.tried || e.record.gain <= options_.min_loop_gain) continue;
+      if (!asks || e.record.tried || e.record.gain <= options_.thresholds.min_loop_gain) continue;
       if (best != nullptr && e.worth <= best->worth) continue;
       if (e.ask.offer < 0 && ((is_linked && e.record.id == base) || IsNearFailed(failed, e.record.id))) continue;
       best = &e;
@@ -294,7 +294,7 @@ void CompactPoseSlam<Pose>::LinkAll(Current& current, Decision& decision, const 
 template <class Pose>
 bool CompactPoseSlam<Pose>::AreNeighbours(const Pose& T_world_a, const Pose& T_world_b) const {
   const auto apart = DisplacementMean<Pose>(T_world_a.Inverse() * T_world_b, options_.distance);
-  return (apart.cwiseAbs().array() <= options_.failed_neighbourhood * options_.range.array()).all();
+  return (apart.cwiseAbs().array() <= options_.failed_neighbourhood * options_.thresholds.range.array()).all();
 }
 
 // Registrations that failed where the pose at hand is. Those of an earlier visit count as well, as far as the map knows

@@ -30,19 +30,25 @@ void KeepNewest(size_t count, std::vector<Item>& items) {
 }
 
 template <class Pose>
-void CheckOptions(const CompactOptions<Pose>& o) {
-  if (!(o.range.array() > 0).all() || !o.range.allFinite()) {
+void CheckThresholds(const Thresholds<Pose>& thresholds) {
+  const auto& [range, probability, min_loop_gain, min_pose_gain, link_covariance] = thresholds;
+  if (!(range.array() > 0).all() || !range.allFinite()) {
     throw std::invalid_argument("compact options: the sensor range must be positive and finite");
   }
-  if (!(o.probability >= 0 && o.probability < 1))
+  if (!(probability >= 0 && probability < 1))
     throw std::invalid_argument("compact options: the probability must be in [0, 1)");
-  if (!(o.min_loop_gain >= 0) || !(o.min_pose_gain >= 0))
+  if (!(min_loop_gain >= 0) || !(min_pose_gain >= 0))
     throw std::invalid_argument("compact options: gains must not be negative");
   // Cholesky reads one triangle and lets NaN pass.
-  const bool symmetric = (o.link_covariance - o.link_covariance.transpose()).norm() <= 1e-9 * o.link_covariance.norm();
-  if (!symmetric || o.link_covariance.llt().info() != Eigen::Success) {
+  const bool symmetric = (link_covariance - link_covariance.transpose()).norm() <= 1e-9 * link_covariance.norm();
+  if (!symmetric || link_covariance.llt().info() != Eigen::Success) {
     throw std::invalid_argument("compact options: the link covariance is not positive definite");
   }
+}
+
+template <class Pose>
+void CheckOptions(const CompactOptions<Pose>& o) {
+  CheckThresholds(o.thresholds);
   if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
     throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
   if (!(o.plausible_quantile > 0 && o.plausible_quantile < 1))
@@ -183,7 +189,8 @@ void CompactPoseSlam<Pose>::LogVerdict(const Decision& decision) const {
   const std::string name = "pose " + std::to_string(decision.id.value) + (decision.Kept() ? " kept, " : " dropped, ");
   if (by_gain && decision.pose_gain) {
     internal::Log(options_.log, level, name, Name(decision.verdict), ": gain ", *decision.pose_gain,
-                  " nats (threshold ", options_.min_pose_gain, "), ", decision.candidates.size(), " candidates");
+                  " nats (threshold ", options_.thresholds.min_pose_gain, "), ", decision.candidates.size(),
+                  " candidates");
   } else {
     internal::Log(options_.log, level, name, Name(decision.verdict), ": ", decision.candidates.size(), " candidates, ",
                   decision.registrations_tried, " tried, ", decision.links_accepted, " links, ", decision.links_refused,
@@ -207,7 +214,7 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
     decision.verdict = PoseVerdict::kNothingInRange;
   } else {
     decision.verdict =
-        *decision.pose_gain > options_.min_pose_gain ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
+        *decision.pose_gain > options_.thresholds.min_pose_gain ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
   }
 }
 

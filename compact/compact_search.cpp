@@ -81,12 +81,12 @@ std::vector<typename CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(
                                                                                 bool plausible) {
   searches_ = true;
   UpdateSearch(solver_->Graph().IndexOf(current.base));
-  const auto& range = options_.range;
+  const auto& range = options_.thresholds.range;
   const UncertainPose<Pose>& chain = current.T_base_current;
   const double length = chain.T_a_b.Translation().norm();
   // An ellipsoid reaches so many standard deviations in every direction.
   const double deviations =
-      std::max(DeviationsBeyondRange(options_.probability), plausible ? std::sqrt(most_distance_) : 0.0);
+      std::max(DeviationsBeyondRange(options_.thresholds.probability), plausible ? std::sqrt(most_distance_) : 0.0);
   const Spread own = Spread::Of<Pose>(chain.covariance);
   const double most = range.template head<Pose::kDim>().norm(), root = std::sqrt(static_cast<double>(Pose::kDim));
   const auto reach = [&](const Spread& spread) { return most + root * deviations * spread.Behind(length, own).metres; };
@@ -100,7 +100,8 @@ std::vector<typename CompactPoseSlam<Pose>::Ask> CompactPoseSlam<Pose>::InReach(
                           .all();
     if (!near) return;
     const double angle = mean[Pose::kDim];
-    const bool turned = AngleProbabilityBound(angle, spread.radians, range[Pose::kDim]) <= options_.probability;
+    const bool turned =
+        AngleProbabilityBound(angle, spread.radians, range[Pose::kDim]) <= options_.thresholds.probability;
     if (turned && !(plausible && std::abs(angle) <= range[Pose::kDim] + deviations * spread.radians)) return;
     out.push_back({i, -1});
   });
@@ -140,21 +141,21 @@ std::vector<typename CompactPoseSlam<Pose>::Evaluated> CompactPoseSlam<Pose>::Ev
     e.T_pose_current =
         Compose(is_ready ? T_pose_base_[At(ask.pose)] : KnownDisplacement(ask.pose, base), current.T_base_current);
     const auto displacement = ComputeDisplacement<Pose>(e.T_pose_current, options_.distance);
-    const auto within = RangeProbabilities<Pose>(displacement, options_.range);
+    const auto within = RangeProbabilities<Pose>(displacement, options_.thresholds.range);
     e.record.probability = within.minCoeff();
     e.record.id = solver_->Graph().Poses()[At(ask.pose)].id;
     const bool is_candidate =
-        e.record.probability > options_.probability ||
-        (plausible && DistanceToRange<Pose>(displacement, options_.range, most_distance_) <= most_distance_);
+        e.record.probability > options_.thresholds.probability ||
+        (plausible && DistanceToRange<Pose>(displacement, options_.thresholds.range, most_distance_) <= most_distance_);
     if (offer != nullptr) {
       e.plausible = is_candidate;
       e.record.measured = true;
       e.record.carried_from = offer->carried_from;
-      e.record.gain = OfferGain(current, *offer, e.T_pose_current, options_.link_covariance);
+      e.record.gain = OfferGain(current, *offer, e.T_pose_current, options_.thresholds.link_covariance);
       e.worth = e.record.gain;
     } else {
       if (!is_candidate) continue;
-      e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, options_.link_covariance);
+      e.record.gain = InformationGain<Pose::kDof>(e.T_pose_current.covariance, options_.thresholds.link_covariance);
       e.worth = within.prod() * e.record.gain;
     }
     out.push_back(std::move(e));

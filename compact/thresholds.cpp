@@ -40,7 +40,7 @@ std::vector<long> SamplePositions(long poses, long count) {
 }
 
 template <class Pose>
-Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options) {
+SampledThresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options) {
   if (!(options.share > 0 && options.share <= 1) || !(options.probability >= 0 && options.probability < 1)) {
     throw std::invalid_argument("sample options: the share must be in (0, 1], the probability in [0, 1)");
   }
@@ -50,9 +50,9 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   const auto& inputs = replay.Inputs();
   const auto poses = static_cast<long>(inputs.size());
   const long within = std::min(poses, kMostMapPoses);
-  Thresholds<Pose> out;
-  out.probability = options.probability;
-  out.link_covariance = replay.LinkCovariance();
+  SampledThresholds<Pose> out;
+  out.thresholds.probability = options.probability;
+  out.thresholds.link_covariance = replay.LinkCovariance();
   out.sample_poses = std::min(options.most_poses, std::lround(options.share * static_cast<double>(poses)));
   out.sample_poses = std::min(out.sample_poses, within);
   const std::vector<long> looked_at = SamplePositions(within, out.sample_poses);
@@ -63,19 +63,20 @@ Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOpti
   }
   out.sample_loops = sample.loops_seen;
   out.sample_links = sample.links;
-  out.range = replay.LinkRange(options.distance);
+  out.thresholds.range = replay.LinkRange(options.distance);
   out.loop_gain_90 = Percentile90(sample.loop_gains);
   out.pose_gain_90 = Percentile90(sample.pose_gains);
   const double loops = static_cast<double>(replay.LinksOffered()) / static_cast<double>(std::max(poses, 1L));
   const double most = kRareLoopGain + (kMostLoopGain - kRareLoopGain) * std::min(1.0, loops / kManyLoops);
   const double usual =
       std::clamp(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof, kMostLoopGain * Pose::kDof);
-  out.min_loop_gain = std::min(usual, most * Pose::kDof);
-  out.min_pose_gain = std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * usual});
+  out.thresholds.min_loop_gain = std::min(usual, most * Pose::kDof);
+  out.thresholds.min_pose_gain =
+      std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * usual});
   return out;
 }
 
-template Thresholds<SE2> SelectThresholds<SE2>(const PoseGraph<SE2>&, const SampleOptions&);
-template Thresholds<SE3> SelectThresholds<SE3>(const PoseGraph<SE3>&, const SampleOptions&);
+template SampledThresholds<SE2> SelectThresholds<SE2>(const PoseGraph<SE2>&, const SampleOptions&);
+template SampledThresholds<SE3> SelectThresholds<SE3>(const PoseGraph<SE3>&, const SampleOptions&);
 
 }  // namespace terse

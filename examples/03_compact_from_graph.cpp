@@ -16,9 +16,9 @@ int main(int argc, char** argv) try {
 
   // How far links reach and how much information is little: from a sample of the graph.
   CompactOptions<SE3> options;
-  SampleThresholds(graph, options);
+  const Thresholds<SE3> thresholds = SampleThresholds(graph, options).thresholds;
   std::printf("links reach %.1f m; a loop counts from %.2f nats on, a pose from %.2f\n",
-              options.range.head<3>().maxCoeff(), options.min_loop_gain, options.min_pose_gain);
+              thresholds.range.head<3>().maxCoeff(), thresholds.min_loop_gain, thresholds.min_pose_gain);
 
   // The file's poses in order of arrival; its loops answer when the run asks for a registration.
   GraphReplay<SE3> replay(graph);

@@ -26,8 +26,8 @@ int main(int argc, char** argv) try {
   };
 
   CompactOptions<SE2> options;
-  options.range = {3, 3, 0.5};  // the registration reaches 3 m and half a radian
-  options.link_covariance = covariance;
+  options.thresholds.range = {3, 3, 0.5};  // the registration reaches 3 m and half a radian
+  options.thresholds.link_covariance = covariance;
   CompactPoseSlam<SE2> slam(options);
 
   std::vector<SE2> truth = {SE2()};

@@ -63,11 +63,12 @@ int main() try {
   };
 
   CompactOptions<SE2> options;
-  options.range = {4, 4,
-                   M_PI};  // a registration is worth a try within 4 m, in any direction: the scanner sees all round
-  options.link_covariance = Vector<3>(4e-4, 4e-4, 2e-5).asDiagonal();  // what one is expected to tell: 2 cm, 4 mrad
-  options.min_loop_gain = 3;  // nats; with 1 nearly every pose and 199 links stay
-  options.min_pose_gain = 4;
+  Thresholds<SE2>& thresholds = options.thresholds;
+  // A registration is worth a try within 4 m, in any direction: the scanner sees all round.
+  thresholds.range = {4, 4, M_PI};
+  thresholds.link_covariance = Vector<3>(4e-4, 4e-4, 2e-5).asDiagonal();  // what one is expected to tell: 2 cm, 4 mrad
+  thresholds.min_loop_gain = 3;  // nats; with 1 nearly every pose and 199 links stay
+  thresholds.min_pose_gain = 4;
   CompactPoseSlam<SE2> slam(options);
   std::map<PoseId, Scan> scans;  // of kept poses, and of the one at hand
   int asked = 0;

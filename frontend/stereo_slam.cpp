@@ -37,12 +37,12 @@ StereoOdometryOptions OdometryOptions(const StereoSlamOptions& options) {
 CompactOptions<SE3> StereoCompactOptions() {
   CompactOptions<SE3> out;
   out.strategy = Strategy::kFpfl;
-  out.range = {3, 3, 8, 0.7};
-  out.min_loop_gain = 8;
-  out.min_pose_gain = 8;
+  out.thresholds.range = {3, 3, 8, 0.7};
+  out.thresholds.min_loop_gain = 8;
+  out.thresholds.min_pose_gain = 8;
   Vector<6> sigma;
   sigma << 0.02, 0.02, 0.03, 0.001, 0.001, 0.001;
-  out.link_covariance = sigma.cwiseProduct(sigma).asDiagonal();
+  out.thresholds.link_covariance = sigma.cwiseProduct(sigma).asDiagonal();
   return out;
 }
 

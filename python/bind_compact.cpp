@@ -24,14 +24,13 @@ decltype(auto) Read(const Slam& slam, const F& f) {
   return std::visit([&](const auto& held) -> decltype(auto) { return f(*held); }, slam.slam);
 }
 
+template <class Pose>
+Slam SlamWith(const CompactOptions<Pose>& options) {
+  return Slam{std::make_shared<CompactPoseSlam<Pose>>(options)};
+}
+
 Slam MakeSlam(const CompactSettings& settings) {
-  return std::visit(
-      [](const auto& options) {
-        using Pose =
-            std::conditional_t<std::decay_t<decltype(options.link_covariance)>::RowsAtCompileTime == 3, SE2, SE3>;
-        return Slam{std::make_shared<CompactPoseSlam<Pose>>(options)};
-      },
-      settings.options);
+  return std::visit([](const auto& options) { return SlamWith(options); }, settings.options);
 }
 
 Graph MapOf(const Slam& slam) {

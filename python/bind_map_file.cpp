@@ -87,7 +87,7 @@ void Write(const Map& map, const Path& path) {
 std::shared_ptr<CompactSettings> ReadOptions(const Path& path, const py::kwargs& keywords) {
   auto settings = ForDimension(ReadThresholdsDimension(path.string()), [&](auto origin) {
     CompactOptions<decltype(origin)> options;
-    ReadThresholds(path.string(), options);
+    options.thresholds = ReadThresholds<decltype(origin)>(path.string());
     return std::make_shared<CompactSettings>(CompactSettings{options});
   });
   SetAttributes(py::cast(settings), keywords);
@@ -162,7 +162,7 @@ void BindMapFile(py::module_& module) {
   module.def(
       "write_thresholds",
       [](const CompactSettings& settings, const Path& path) {
-        std::visit([&](const auto& options) { WriteThresholds(options, path.string()); }, settings.options);
+        std::visit([&](const auto& options) { WriteThresholds(options.thresholds, path.string()); }, settings.options);
       },
       py::arg("options"), py::arg("path"),
       "Writes range, probability, gains and link_covariance of CompactOptions to a file, whole or not at all. "

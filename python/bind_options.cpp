@@ -115,10 +115,10 @@ void BindArrays(Compact& type) {
   type.def_property(
           "range",
           [](const CompactSettings& s) {
-            return std::visit([](auto& o) { return ArrayOfVector(o.range); }, s.options);
+            return std::visit([](auto& o) { return ArrayOfVector(o.thresholds.range); }, s.options);
           },
           [](CompactSettings& s, const Array& range) {
-            std::visit([&](auto& o) { SetVector(o.range, range, "range"); }, s.options);
+            std::visit([&](auto& o) { SetVector(o.thresholds.range, range, "range"); }, s.options);
           },
           "Sensor range [x, y, angle] or [x, y, z, angle], metres and radians, in the frame of the pose that is seen "
           "from. "
@@ -126,13 +126,14 @@ void BindArrays(Compact& type) {
       .def_property(
           "link_covariance",
           [](const CompactSettings& s) {
-            return std::visit([](auto& o) { return ArrayOfMatrix(o.link_covariance); }, s.options);
+            return std::visit([](auto& o) { return ArrayOfMatrix(o.thresholds.link_covariance); }, s.options);
           },
           [](CompactSettings& s, const Array& covariance) {
             std::visit(
                 [&](auto& o) {
-                  o.link_covariance = MatrixFrom<std::decay_t<decltype(o.link_covariance)>::RowsAtCompileTime>(
-                      covariance, "link_covariance");
+                  o.thresholds.link_covariance =
+                      MatrixFrom<std::decay_t<decltype(o.thresholds.link_covariance)>::RowsAtCompileTime>(
+                          covariance, "link_covariance");
                 },
                 s.options);
           },
@@ -152,7 +153,7 @@ void BindArrays(Compact& type) {
 
 void BindSearch(Compact& type) {
   DefField(
-      type, "probability", [](auto& o) -> auto& { return o.probability; },
+      type, "probability", [](auto& o) -> auto& { return o.thresholds.probability; },
       "Every dimension must be in range with more than this.");
   DefField(
       type, "plausible_quantile", [](auto& o) -> auto& { return o.plausible_quantile; },
@@ -169,9 +170,10 @@ void BindSearch(Compact& type) {
 
 void BindSelection(Compact& type) {
   DefField(
-      type, "min_loop_gain", [](auto& o) -> auto& { return o.min_loop_gain; }, "A link is kept if it adds more, nats.");
+      type, "min_loop_gain", [](auto& o) -> auto& { return o.thresholds.min_loop_gain; },
+      "A link is kept if it adds more, nats.");
   DefField(
-      type, "min_pose_gain", [](auto& o) -> auto& { return o.min_pose_gain; },
+      type, "min_pose_gain", [](auto& o) -> auto& { return o.thresholds.min_pose_gain; },
       "A pose is kept if the least informative possible link would add more, nats, or if a loop closes.");
   DefWordField(
       type, "angle", [](auto& o) -> auto& { return o.distance.angle; },

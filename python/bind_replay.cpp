@@ -210,19 +210,17 @@ decltype(auto) Visit(const ChosenThresholds& chosen, const F& f) {
   return std::visit(f, chosen.thresholds);
 }
 
+template <class Pose>
+CompactOptions<Pose> OptionsWith(const Thresholds<Pose>& thresholds) {
+  CompactOptions<Pose> options;
+  options.thresholds = thresholds;
+  return options;
+}
+
 std::shared_ptr<CompactSettings> OptionsOf(const ChosenThresholds& chosen, const py::kwargs& keywords) {
-  const auto settings = std::visit(
-      [](const auto& t) {
-        using Pose = std::conditional_t<std::decay_t<decltype(t.link_covariance)>::RowsAtCompileTime == 3, SE2, SE3>;
-        CompactOptions<Pose> options;
-        options.range = t.range;
-        options.probability = t.probability;
-        options.min_loop_gain = t.min_loop_gain;
-        options.min_pose_gain = t.min_pose_gain;
-        options.link_covariance = t.link_covariance;
-        return std::make_shared<CompactSettings>(CompactSettings{options});
-      },
-      chosen.thresholds);
+  const auto settings = Visit(chosen, [](const auto& sampled) {
+    return std::make_shared<CompactSettings>(CompactSettings{OptionsWith(sampled.thresholds)});
+  });
   SetAttributes(py::cast(settings), keywords);
   return settings;
 }
@@ -233,18 +231,20 @@ void BindThresholds(py::module_& module) {
       .def_property_readonly(
           "dimension", [](const T& c) { return DimensionOf(c.thresholds); }, "2 or 3.")
       .def_property_readonly(
-          "range", [](const T& c) { return Visit(c, [](auto& t) { return ArrayOfVector(t.range); }); },
+          "range", [](const T& c) { return Visit(c, [](auto& t) { return ArrayOfVector(t.thresholds.range); }); },
           "Sensor range [x, y, angle] or [x, y, z, angle], metres and radians. A copy.")
       .def_property_readonly(
-          "probability", [](const T& c) { return Visit(c, [](auto& t) { return t.probability; }); },
+          "probability", [](const T& c) { return Visit(c, [](auto& t) { return t.thresholds.probability; }); },
           "Of being in range.")
       .def_property_readonly(
-          "min_loop_gain", [](const T& c) { return Visit(c, [](auto& t) { return t.min_loop_gain; }); }, "Nats.")
+          "min_loop_gain", [](const T& c) { return Visit(c, [](auto& t) { return t.thresholds.min_loop_gain; }); },
+          "Nats.")
       .def_property_readonly(
-          "min_pose_gain", [](const T& c) { return Visit(c, [](auto& t) { return t.min_pose_gain; }); }, "Nats.")
+          "min_pose_gain", [](const T& c) { return Visit(c, [](auto& t) { return t.thresholds.min_pose_gain; }); },
+          "Nats.")
       .def_property_readonly(
           "link_covariance",
-          [](const T& c) { return Visit(c, [](auto& t) { return ArrayOfMatrix(t.link_covariance); }); },
+          [](const T& c) { return Visit(c, [](auto& t) { return ArrayOfMatrix(t.thresholds.link_covariance); }); },
           "(d, d): mean of the graph's links; tangent order [translation, rotation], body frame. A copy.")
       .def_property_readonly(
           "loop_gain_90", [](const T& c) { return Visit(c, [](auto& t) { return t.loop_gain_90; }); },
@@ -260,13 +260,14 @@ void BindThresholds(py::module_& module) {
       .def("__repr__",
            [](const T& c) {
              return Visit(c, [](auto& t) {
-               return "<terse.Thresholds: range " + NumbersText(t.range) + ", loop gain " + SixDigits(t.min_loop_gain) +
-                      " nats, pose gain " + SixDigits(t.min_pose_gain) + " nats>";
+               return "<terse.Thresholds: range " + NumbersText(t.thresholds.range) + ", loop gain " +
+                      SixDigits(t.thresholds.min_loop_gain) + " nats, pose gain " +
+                      SixDigits(t.thresholds.min_pose_gain) + " nats>";
              });
            })
       .def(PickleOf<T>(
           "pickle Thresholds", [](const T& c) { return c.thresholds; },
-          [](Either<Thresholds> thresholds) { return ChosenThresholds{std::move(thresholds)}; }));
+          [](Either<SampledThresholds> thresholds) { return ChosenThresholds{std::move(thresholds)}; }));
   module.def(
       "select_thresholds", &Select, py::arg("graph"), py::kw_only(), py::arg("probability") = 0.1,
       py::arg("share") = 0.6, py::arg("most_poses") = 200, py::arg("angle") = "view", py::arg("view_axis") = py::none(),

@@ -45,9 +45,9 @@ void Serialize(Archive& archive, LinkDecision& decision) {
 }
 
 template <class Archive, class Pose>
-void Serialize(Archive& archive, Thresholds<Pose>& thresholds) {
-  auto& [range, probability, min_loop_gain, min_pose_gain, link_covariance, loop_gain_90, pose_gain_90, sample_poses,
-         sample_loops, sample_links] = thresholds;
+void Serialize(Archive& archive, SampledThresholds<Pose>& sampled) {
+  auto& [thresholds, loop_gain_90, pose_gain_90, sample_poses, sample_loops, sample_links] = sampled;
+  auto& [range, probability, min_loop_gain, min_pose_gain, link_covariance] = thresholds;
   archive(range, probability, min_loop_gain, min_pose_gain, link_covariance, loop_gain_90, pose_gain_90, sample_poses,
           sample_loops, sample_links);
 }

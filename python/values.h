@@ -112,7 +112,7 @@ struct CompactSettings {
   Either<CompactOptions> options;
 };
 struct ChosenThresholds {
-  Either<Thresholds> thresholds;
+  Either<SampledThresholds> thresholds;
 };
 struct Replay {
   EitherShared<GraphReplay> replay;

@@ -345,8 +345,8 @@ void ExpectConsistent(double noise) {
     const auto run = testing::Simulate<Pose>(seed, simulation);
     GraphReplay<Pose> replay(run.graph);
     CompactOptions<Pose> options = testing::OptionsFor(replay, Strategy::kFpfl);
-    options.min_loop_gain = 0.5 * Pose::kDof;
-    options.min_pose_gain = 1.2 * Pose::kDof;
+    options.thresholds.min_loop_gain = 0.5 * Pose::kDof;
+    options.thresholds.min_pose_gain = 1.2 * Pose::kDof;
     auto compact = testing::RunCompact(replay, options);
     compact.slam->Finish();
     std::vector<PoseId> dropped;

@@ -53,10 +53,10 @@ struct Scene {
     scene_options.priors = true;
     graph = testing::MakeRandomGraph<Pose>(rng, scene_options).graph;
     replay.emplace(graph);
-    options.range = replay->LinkRange();
-    options.link_covariance = replay->LinkCovariance();
-    options.min_loop_gain = 0.3;
-    options.min_pose_gain = 2.5;
+    options.thresholds.range = replay->LinkRange();
+    options.thresholds.link_covariance = replay->LinkCovariance();
+    options.thresholds.min_loop_gain = 0.3;
+    options.thresholds.min_pose_gain = 2.5;
   }
   PoseGraph<Pose> graph;
   std::optional<GraphReplay<Pose>> replay;
@@ -79,7 +79,7 @@ TYPED_TEST(CompactFilesTest, AMapReadsBackAndGoesOn) {
   InformationScale scale;
   scale.loops.rotation = 1.0 / 3;
   WriteCompactMap(map, Strategy::kApfl, folder.At("graph.json"), scale);
-  WriteThresholds(scene.options, folder.At("thresholds.json"));
+  WriteThresholds(scene.options.thresholds, folder.At("thresholds.json"));
 
   const CompactMapFile file = ReadCompactMap(folder.At("graph.json"));
   EXPECT_EQ(file.strategy, Strategy::kApfl);
@@ -97,10 +97,10 @@ TYPED_TEST(CompactFilesTest, AMapReadsBackAndGoesOn) {
   }
   CompactOptions<Pose> options;
   EXPECT_EQ(ReadThresholdsDimension(folder.At("thresholds.json")), Pose::kDim);
-  ReadThresholds(folder.At("thresholds.json"), options);
-  EXPECT_EQ(options.range, scene.options.range);
-  EXPECT_EQ(options.link_covariance, scene.options.link_covariance);
-  EXPECT_EQ(options.min_pose_gain, scene.options.min_pose_gain);
+  options.thresholds = ReadThresholds<Pose>(folder.At("thresholds.json"));
+  EXPECT_EQ(options.thresholds.range, scene.options.thresholds.range);
+  EXPECT_EQ(options.thresholds.link_covariance, scene.options.thresholds.link_covariance);
+  EXPECT_EQ(options.thresholds.min_pose_gain, scene.options.thresholds.min_pose_gain);
 
   // It goes on as the map that was never written.
   auto from_memory = CompactPoseSlam<Pose>::Restore(map, scene.options);
@@ -134,8 +134,8 @@ TYPED_TEST(CompactFilesTest, AFolderHoldsTheRun) {
 
   const RunFolder read = ReadRunFolder(folder.Path());
   EXPECT_EQ(read.dimension, Pose::kDim);
-  EXPECT_EQ(read.min_loop_gain, scene.options.min_loop_gain);
-  EXPECT_EQ(read.min_pose_gain, scene.options.min_pose_gain);
+  EXPECT_EQ(read.min_loop_gain, scene.options.thresholds.min_loop_gain);
+  EXPECT_EQ(read.min_pose_gain, scene.options.thresholds.min_pose_gain);
   EXPECT_EQ(read.stats_json, stats);
   EXPECT_EQ(read.thresholds_json, Content(folder.At("thresholds.json")));
   EXPECT_FALSE(read.ate_m || read.T_world_body_true);

@@ -34,16 +34,10 @@ TYPED_TEST(CompactGraphTest, IsTheRunByHand) {
     const PoseGraph<Pose> graph = Scene<Pose>(seed);
     const CompactRun<Pose> run = CompactGraph(graph);
 
-    const Thresholds<Pose> thresholds = SelectThresholds(graph, [] {
-      SampleOptions sample;
-      sample.innovation_quantile = CompactOptions<Pose>().innovation_quantile;
-      return sample;
-    }());
     CompactOptions<Pose> options;
-    options.range = thresholds.range;
-    options.min_loop_gain = thresholds.min_loop_gain;
-    options.min_pose_gain = thresholds.min_pose_gain;
-    options.link_covariance = thresholds.link_covariance;
+    SampleOptions sample;
+    sample.innovation_quantile = options.innovation_quantile;
+    options.thresholds = SelectThresholds(graph, sample).thresholds;
     GraphReplay<Pose> replay(graph);
     const auto by_hand = testing::RunCompact(replay, options);
     const auto result = by_hand.slam->Finish();
@@ -87,7 +81,7 @@ TYPED_TEST(CompactGraphTest, GivenOptionsAreObeyed) {
   EXPECT_EQ(all.PosesKept(), 60);
   EXPECT_EQ(all.KeptGraph().Factors().size(), graph.Factors().size());
   options.strategy = Strategy::kFpfl;
-  options.min_loop_gain = options.min_pose_gain = 1e9;
+  options.thresholds.min_loop_gain = options.thresholds.min_pose_gain = 1e9;
   EXPECT_EQ(CompactGraph(graph, options).LinksKept(), 0);
   EXPECT_EQ(CompactGraph(graph, Strategy::kApfl).PosesKept(), 60);
   int steps = 0;

@@ -26,8 +26,8 @@ struct Course {
     if (priors) graph.SetFixed(graph.Poses()[static_cast<std::size_t>(poses / 3)].id, true);
     replay.emplace(graph);
     options = testing::OptionsFor(*replay, strategy);
-    options.min_loop_gain = 0.3;
-    options.min_pose_gain = 2.5;
+    options.thresholds.min_loop_gain = 0.3;
+    options.thresholds.min_pose_gain = 2.5;
   }
   Decision Add(CompactPoseSlam<Pose>& slam, std::size_t k) const { return slam.AddPose(replay->Inputs()[k]); }
   CompactPoseSlam<Pose> Run(std::size_t end) const {

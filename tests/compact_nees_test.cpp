@@ -39,8 +39,8 @@ void AddRun(std::uint64_t seed, CompositionOrder composition, bool priors, Sum& 
   const auto run = testing::Simulate<Pose>(seed, simulation);
   GraphReplay<Pose> replay(run.graph);
   CompactOptions<Pose> options = testing::OptionsFor(replay, Strategy::kFpfl);
-  options.min_loop_gain = 0.5 * B;
-  options.min_pose_gain = 1.2 * B;
+  options.thresholds.min_loop_gain = 0.5 * B;
+  options.thresholds.min_pose_gain = 1.2 * B;
   options.composition = composition;
   auto compact = testing::RunCompact(replay, options);
   compact.slam->Finish();

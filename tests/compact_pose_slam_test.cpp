@@ -59,9 +59,9 @@ TYPED_TEST(CompactPoseSlamTest, APoseItsOdometryAndARegistration) {
   const auto graph = this->RandomGraph(11);
   GraphReplay<TypeParam> replay(graph), again(graph);
   CompactOptions<TypeParam> options;
-  options.range = replay.LinkRange();
-  options.min_loop_gain = 0.5;
-  options.min_pose_gain = 2;
+  options.thresholds.range = replay.LinkRange();
+  options.thresholds.min_loop_gain = 0.5;
+  options.thresholds.min_pose_gain = 2;
   CompactPoseSlam<TypeParam> by_input(options), by_pose(options);
   const auto registration = replay.AsRegistration(), same_registration = again.AsRegistration();
   int links = 0;
@@ -138,16 +138,16 @@ void ExpectRulesObeyed(const testing::CompactRun<Pose>& run, const CompactOption
       EXPECT_EQ(kept.count(c.id.value), 1u) << "only kept poses are candidates";
       EXPECT_LE(c.probability, 1);
       if (!c.measured) {
-        EXPECT_GT(c.probability, options.probability);
+        EXPECT_GT(c.probability, options.thresholds.probability);
         EXPECT_FALSE(c.tried || c.carried_from);
         least = std::min(least, c.gain);
       }
       tried += c.tried ? 1 : 0;
       accepted += c.accepted ? 1 : 0;
       if (c.tried) {
-        EXPECT_GT(c.gain, options.min_loop_gain);
+        EXPECT_GT(c.gain, options.thresholds.min_loop_gain);
       }
-      EXPECT_EQ(c.accepted, c.measured_gain && *c.measured_gain > options.min_loop_gain);
+      EXPECT_EQ(c.accepted, c.measured_gain && *c.measured_gain > options.thresholds.min_loop_gain);
       if (c.measured_gain) {
         EXPECT_TRUE(c.tried);
       }
@@ -156,7 +156,7 @@ void ExpectRulesObeyed(const testing::CompactRun<Pose>& run, const CompactOption
     EXPECT_EQ(tried, d.registrations_tried);
     EXPECT_LE(tried, options.max_registrations);
     EXPECT_EQ(accepted, d.links_accepted);
-    EXPECT_GT(worst_accepted, options.min_loop_gain);
+    EXPECT_GT(worst_accepted, options.thresholds.min_loop_gain);
     if (accepted == 0 && d.pose_gain) {
       EXPECT_EQ(*d.pose_gain, least);
     }
@@ -166,10 +166,10 @@ void ExpectRulesObeyed(const testing::CompactRun<Pose>& run, const CompactOption
       EXPECT_FALSE(d.pose_gain);
     }
     if (d.verdict == PoseVerdict::kInformative) {
-      EXPECT_GT(*d.pose_gain, options.min_pose_gain);
+      EXPECT_GT(*d.pose_gain, options.thresholds.min_pose_gain);
     }
     if (d.verdict == PoseVerdict::kRedundant) {
-      EXPECT_LE(*d.pose_gain, options.min_pose_gain);
+      EXPECT_LE(*d.pose_gain, options.thresholds.min_pose_gain);
     }
     links += accepted;
     if (d.Kept()) kept.insert(d.id.value);
@@ -188,8 +188,8 @@ void ExpectRulesObeyed(const PoseGraph<Pose>& graph) {
     for (const double pose : {0.0, 2.0, 8.0}) {
       GraphReplay<Pose> replay(graph);
       auto options = testing::OptionsFor(replay, Strategy::kFpfl);
-      options.min_loop_gain = loop;
-      options.min_pose_gain = pose;
+      options.thresholds.min_loop_gain = loop;
+      options.thresholds.min_pose_gain = pose;
       options.most_recorded = 1 << 20;
       ExpectRulesObeyed(RunCompact(replay, options), options);
     }
@@ -260,11 +260,11 @@ struct Corridor {
   // Poses 1 m apart in x: each in range of those within `metres`.
   explicit Corridor(Strategy strategy = Strategy::kFpfl, double min_pose_gain = 1e-3) {
     options.strategy = strategy;
-    options.range.setConstant(5.5);
-    options.probability = 0.5;
-    options.link_covariance = 1e-4 * Pose::Jacobian::Identity();
-    options.min_loop_gain = 0.01;
-    options.min_pose_gain = min_pose_gain;
+    options.thresholds.range.setConstant(5.5);
+    options.thresholds.probability = 0.5;
+    options.thresholds.link_covariance = 1e-4 * Pose::Jacobian::Identity();
+    options.thresholds.min_loop_gain = 0.01;
+    options.thresholds.min_pose_gain = min_pose_gain;
   }
   static Pose Step(double metres) {
     typename Pose::Tangent d = Pose::Tangent::Zero();
@@ -439,7 +439,7 @@ TYPED_TEST(CompactPoseSlamTest, ANullRegistrationRegistersNothing) {
   using C = Corridor<TypeParam>;
   for (const Strategy strategy : {Strategy::kApal, Strategy::kApfl, Strategy::kFpfl}) {
     C corridor(strategy, 0.1);
-    corridor.options.min_loop_gain = 0;
+    corridor.options.thresholds.min_loop_gain = 0;
     CompactPoseSlam<TypeParam> null(corridor.options), nothing(corridor.options);
     for (int id = 0; id < 8; ++id) {
       const Decision a = null.AddPose(C::Input(id), nullptr);
@@ -489,22 +489,22 @@ TYPED_TEST(CompactPoseSlamTest, OptionsOutOfTheirDomainAreRefused) {
     change(options);
     EXPECT_THROW(CompactPoseSlam<Pose>{options}, std::invalid_argument);
   };
-  refuse([](auto& o) { o.range[0] = 0; });
-  refuse([](auto& o) { o.range[1] = kNan; });
-  refuse([](auto& o) { o.range[1] = kInfinity; });
-  refuse([](auto& o) { o.probability = 1; });
-  refuse([](auto& o) { o.probability = -0.1; });
-  refuse([](auto& o) { o.probability = kNan; });
-  refuse([](auto& o) { o.min_loop_gain = -1; });
-  refuse([](auto& o) { o.min_pose_gain = kNan; });
-  refuse([](auto& o) { o.link_covariance.setZero(); });
-  refuse([](auto& o) { o.link_covariance(0, 0) = kNan; });
-  refuse([](auto& o) { o.link_covariance(0, 1) = 0.001; });
+  refuse([](auto& o) { o.thresholds.range[0] = 0; });
+  refuse([](auto& o) { o.thresholds.range[1] = kNan; });
+  refuse([](auto& o) { o.thresholds.range[1] = kInfinity; });
+  refuse([](auto& o) { o.thresholds.probability = 1; });
+  refuse([](auto& o) { o.thresholds.probability = -0.1; });
+  refuse([](auto& o) { o.thresholds.probability = kNan; });
+  refuse([](auto& o) { o.thresholds.min_loop_gain = -1; });
+  refuse([](auto& o) { o.thresholds.min_pose_gain = kNan; });
+  refuse([](auto& o) { o.thresholds.link_covariance.setZero(); });
+  refuse([](auto& o) { o.thresholds.link_covariance(0, 0) = kNan; });
+  refuse([](auto& o) { o.thresholds.link_covariance(0, 1) = 0.001; });
   refuse([](auto& o) { o.distance.view_axis.setZero(); });
   refuse([](auto& o) { o.distance.view_axis[0] = kInfinity; });
   refuse([](auto& o) { o.solver.relinearize_interval = 0; });
   CompactOptions<Pose> options;
-  options.min_loop_gain = options.min_pose_gain = kInfinity;
+  options.thresholds.min_loop_gain = options.thresholds.min_pose_gain = kInfinity;
   EXPECT_NO_THROW(CompactPoseSlam<Pose>{options});
 }
 

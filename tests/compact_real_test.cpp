@@ -110,10 +110,10 @@ void ExpectTheWholeGraph(std::uint64_t seed) {
     if (k > 20 && k % 15 == 0) measure(static_cast<int>(rng() % static_cast<unsigned>(k - 5)), k, kNoise);
   }
   CompactOptions<Pose> options;
-  options.range.setConstant(3);
-  options.link_covariance = kNoise * kNoise * Pose::Jacobian::Identity();
-  options.min_loop_gain = 0;
-  options.min_pose_gain = 2 * Pose::kDof;
+  options.thresholds.range.setConstant(3);
+  options.thresholds.link_covariance = kNoise * kNoise * Pose::Jacobian::Identity();
+  options.thresholds.min_loop_gain = 0;
+  options.thresholds.min_pose_gain = 2 * Pose::kDof;
   options.innovation_quantile.reset();
   const CompactRun<Pose> run = CompactGraph(graph, options);
   int revived = 0;
@@ -147,10 +147,10 @@ TEST(CompactFarLoops, AreAskedForUnderABudget) {
   testing::Random rng(4);
   constexpr int kPoses = 1000;
   CompactOptions<SE2> options;
-  options.range = {2, 2, 3.2};
-  options.link_covariance = 1e-4 * Matrix<3, 3>::Identity();
-  options.min_loop_gain = 1;
-  options.min_pose_gain = 4;
+  options.thresholds.range = {2, 2, 3.2};
+  options.thresholds.link_covariance = 1e-4 * Matrix<3, 3>::Identity();
+  options.thresholds.min_loop_gain = 1;
+  options.thresholds.min_pose_gain = 4;
   std::vector<SE2> truth = {SE2()};
   for (int k = 1; k < kPoses; ++k) {
     truth.push_back(truth.back() * SE2(0.5, 0, 2 * M_PI / (kPoses / 2)));  // two rounds of a circle

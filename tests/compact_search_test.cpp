@@ -45,10 +45,10 @@ std::map<std::int64_t, Expected> Search(const PoseGraph<Pose>& graph, const std:
     }
     seen = Compose(seen, T_base_current);
     const auto displacement = ComputeDisplacement<Pose>(seen, options.distance);
-    const auto within = RangeProbabilities<Pose>(displacement, options.range);
-    const double gain = InformationGain<Pose::kDof>(seen.covariance, options.link_covariance);
+    const auto within = RangeProbabilities<Pose>(displacement, options.thresholds.range);
+    const double gain = InformationGain<Pose::kDof>(seen.covariance, options.thresholds.link_covariance);
     out[node.id.value] = {within.minCoeff(), gain, gain * within.prod(),
-                          DistanceToRange<Pose>(displacement, options.range)};
+                          DistanceToRange<Pose>(displacement, options.thresholds.range)};
   }
   return out;
 }
@@ -144,9 +144,10 @@ class Follower {
     index.Build(std::move(items));
     const double length = chain.T_base_pose.T_a_b.Translation().norm();
     const Spread own = Spread::Of<Pose>(chain.T_base_pose.covariance);
-    const double deviations = std::max(DeviationsBeyondRange(options_.probability), std::sqrt(MostDistance()));
+    const double deviations =
+        std::max(DeviationsBeyondRange(options_.thresholds.probability), std::sqrt(MostDistance()));
     const auto reach = [&](const Spread& spread) {
-      return options_.range.template head<Pose::kDim>().norm() +
+      return options_.thresholds.range.template head<Pose::kDim>().norm() +
              std::sqrt(1.0 * Pose::kDim) * deviations * spread.Behind(length, own).metres;
     };
     std::set<std::int64_t> visited;
@@ -159,18 +160,18 @@ class Follower {
     visited_at_steps += static_cast<long>(visited.size());
   }
 
-  bool InRange(const Expected& e) const { return e.probability > options_.probability; }
+  bool InRange(const Expected& e) const { return e.probability > options_.thresholds.probability; }
   bool IsCandidate(const Expected& e) const { return InRange(e) || e.distance <= MostDistance(); }
   double MostDistance() const { return ChiSquareQuantile(options_.plausible_quantile, Displacement<Pose>::kSize); }
   bool Close(const Expected& e) const {
-    return std::abs(e.probability - options_.probability) < relative_ ||
+    return std::abs(e.probability - options_.thresholds.probability) < relative_ ||
            std::abs(e.distance - MostDistance()) < 1e-4 * MostDistance();
   }
   // A registration failed lately within a quarter of the range of both ends.
   bool FailedNear(PoseId candidate, const Pose& T_world_current) const {
     const auto are_near = [&](const Pose& a, const Pose& b) {
       const auto apart = DisplacementMean<Pose>(a.Inverse() * b, options_.distance);
-      return (apart.cwiseAbs().array() <= options_.failed_neighbourhood * options_.range.array()).all();
+      return (apart.cwiseAbs().array() <= options_.failed_neighbourhood * options_.thresholds.range.array()).all();
     };
     return std::any_of(failed_.begin(), failed_.end(), [&](const auto& f) {
       return are_near(estimates_before_.at(f.first.value), estimates_before_.at(candidate.value)) &&
@@ -185,7 +186,8 @@ class Follower {
       if (!IsCandidate(e)) continue;
       if (InRange(e)) least = std::min(least, e.gain);
       if (linked && id == linked->value) continue;
-      if (e.gain > options_.min_loop_gain && !FailedNear(PoseId{id}, T_world_current)) most = std::max(most, e.worth);
+      if (e.gain > options_.thresholds.min_loop_gain && !FailedNear(PoseId{id}, T_world_current))
+        most = std::max(most, e.worth);
     }
     ASSERT_EQ(decision.pose_gain.has_value(), least < 1e300);
     if (decision.pose_gain) {
@@ -273,11 +275,11 @@ TYPED_TEST(CompactSearchTest, FindsWhatAnExhaustiveSearchFindsOnRandomGraphs) {
     graph.priors = seed % 4 == 0;
     GraphReplay<TypeParam> replay(testing::MakeRandomGraph<TypeParam>(rng, graph).graph);
     auto options = testing::OptionsFor(replay, Strategy::kFpfl);
-    options.range *= seed % 3 == 0 ? 0.2 : 0.5;
-    options.range[TypeParam::kDim] = seed % 2 == 0 ? 3.1 : 1;
-    options.probability = seed % 5 == 0 ? 0.6 : seed % 5 == 1 ? 0.001 : 0.1;
-    options.min_loop_gain = 0.1;
-    options.min_pose_gain = 1.5;
+    options.thresholds.range *= seed % 3 == 0 ? 0.2 : 0.5;
+    options.thresholds.range[TypeParam::kDim] = seed % 2 == 0 ? 3.1 : 1;
+    options.thresholds.probability = seed % 5 == 0 ? 0.6 : seed % 5 == 1 ? 0.001 : 0.1;
+    options.thresholds.min_loop_gain = 0.1;
+    options.thresholds.min_pose_gain = 1.5;
     const Follower<TypeParam> run(replay, options);
     compared += run.compared;
     links += run.links;
@@ -294,9 +296,9 @@ void ExpectExhaustiveOn(const PoseGraph<Pose>& graph, double share_of_range, dou
                         double most_visited = 1) {
   GraphReplay<Pose> replay(graph);
   auto options = testing::OptionsFor(replay, Strategy::kFpfl);
-  options.range *= share_of_range;
-  options.min_loop_gain = min_loop_gain;
-  options.min_pose_gain = min_pose_gain;
+  options.thresholds.range *= share_of_range;
+  options.thresholds.min_loop_gain = min_loop_gain;
+  options.thresholds.min_pose_gain = min_pose_gain;
   options.failed_neighbourhood = 0.05;  // a file links few of the poses that are close
   const Follower<Pose> run(replay, options);
   EXPECT_GT(run.compared, 150);
@@ -336,8 +338,8 @@ TEST(CompactSearchScenes, FindsWhatAnExhaustiveSearchFindsWithPositionPriors) {
     }
     GraphReplay<SE3> replay(graph);
     auto options = testing::OptionsFor(replay, Strategy::kFpfl);
-    options.range = Vector<4>(2, 2, 2, 1);
-    options.min_pose_gain = 1;
+    options.thresholds.range = Vector<4>(2, 2, 2, 1);
+    options.thresholds.min_pose_gain = 1;
     const Follower<SE3> run(replay, options);
     EXPECT_GT(run.compared, 20);
   }
@@ -361,9 +363,9 @@ TYPED_TEST(CompactSearchTest, FindsWhatAnExhaustiveSearchFindsOnATree) {
     }
     GraphReplay<TypeParam> replay(graph);
     auto options = testing::OptionsFor(replay, Strategy::kFpfl);
-    options.range.setConstant(1.5);
-    options.probability = probability;
-    options.min_pose_gain = 2;
+    options.thresholds.range.setConstant(1.5);
+    options.thresholds.probability = probability;
+    options.thresholds.min_pose_gain = 2;
     const Follower<TypeParam> run(replay, options);
     EXPECT_GT(run.compared, 100);
     EXPECT_GT(run.dropped, 3);

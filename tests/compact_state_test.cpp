@@ -134,9 +134,9 @@ struct Course {
       if (setting.branches && k % 7 == 6) inputs[k].odometry = Measure(rng() % k, k);
     }
     slam = testing::OptionsFor(*replay, setting.strategy);
-    slam.min_loop_gain = 0.3;
-    slam.min_pose_gain = 2.5;
-    slam.range *= setting.linkable ? 1 : 0.4;
+    slam.thresholds.min_loop_gain = 0.3;
+    slam.thresholds.min_pose_gain = 2.5;
+    slam.thresholds.range *= setting.linkable ? 1 : 0.4;
     slam.failed_neighbourhood = 0.02;  // the random edges of a graph are no places
     slam.solver.robust.kernel = setting.kernel;
     if (!setting.other) return;
@@ -145,7 +145,7 @@ struct Course {
     slam.composition = CompositionOrder::kFourth;
     slam.innovation_quantile = 0.5;
     slam.consensus = 2;
-    slam.probability = 0.3;
+    slam.thresholds.probability = 0.3;
     slam.solver.relinearize_interval = 3;
   }
   static std::size_t At(int i) { return static_cast<std::size_t>(i); }
@@ -312,7 +312,7 @@ TYPED_TEST(CompactStateTest, BeforeTheFirstPose) {
   EXPECT_EQ(loaded.Options().distance.angle, AngleMeasure::kRotation);
   EXPECT_EQ(loaded.Options().innovation_quantile, course.slam.innovation_quantile);
   EXPECT_EQ(loaded.Options().consensus, 2);
-  EXPECT_TRUE(loaded.Options().range == course.slam.range);
+  EXPECT_TRUE(loaded.Options().thresholds.range == course.slam.thresholds.range);
   EXPECT_EQ(SavedBytes(loaded), SavedBytes(slam));
 }
 

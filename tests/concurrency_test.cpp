@@ -39,8 +39,8 @@ struct StreamEnd {
 // What `terse online` does with its lines.
 StreamEnd RunStream(const PoseGraph<SE2>& graph) {
   CompactOptions<SE2> options;
-  options.range = {5, 5, 3.2};
-  options.min_loop_gain = options.min_pose_gain = 0.5;
+  options.thresholds.range = {5, 5, 3.2};
+  options.thresholds.min_loop_gain = options.thresholds.min_pose_gain = 0.5;
   options.solver.threads = 2;
   CompactPoseSlam<SE2> slam(options);
   MeasurementStream<SE2> stream(slam);

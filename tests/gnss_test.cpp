@@ -86,15 +86,13 @@ TEST(GnssEllipseTest, RelativeCovariancesAgreeWithTheBatchOptimums) {
 
 TEST(GnssEllipseTest, OneExactFixHardlyChangesTheCompactMap) {
   const Laps laps = EllipseLaps(2);
-  const Thresholds<SE3> chosen = SelectThresholds(laps.graph);
+  const Thresholds<SE3> chosen = SelectThresholds(laps.graph).thresholds;
   const auto sizes = [&](const std::vector<std::int64_t>& fixes) {
     PoseGraph<SE3> graph = laps.graph;
     for (const auto id : fixes) graph.AddFactor(Fix(laps, id));
     GraphReplay<SE3> replay(graph);
     auto options = testing::OptionsFor(replay, Strategy::kFpfl);
-    options.range = chosen.range;
-    options.min_loop_gain = chosen.min_loop_gain;
-    options.min_pose_gain = chosen.min_pose_gain;
+    options.thresholds = chosen;
     auto run = testing::RunCompact(replay, options);
     return std::make_pair(static_cast<double>(run.slam->Solver().Graph().Poses().size()), run.slam->LinksKept());
   };
@@ -299,10 +297,10 @@ template <class Pose>
 std::unique_ptr<CompactPoseSlam<Pose>> LineWithDropped(double information) {
   CompactOptions<Pose> options;
   options.strategy = Strategy::kFpfl;
-  options.range.setConstant(100);
-  options.range[Pose::kDim] = 3;
-  options.min_pose_gain = 1e3;  // nothing but a prior keeps a pose
-  options.link_covariance = 1e-4 * Pose::Jacobian::Identity();
+  options.thresholds.range.setConstant(100);
+  options.thresholds.range[Pose::kDim] = 3;
+  options.thresholds.min_pose_gain = 1e3;  // nothing but a prior keeps a pose
+  options.thresholds.link_covariance = 1e-4 * Pose::Jacobian::Identity();
   auto slam = std::make_unique<CompactPoseSlam<Pose>>(options);
   typename Pose::Tangent step = Pose::Tangent::Zero();
   step[0] = 1;

@@ -145,10 +145,10 @@ void ExpectWrongLoopsRefused(const testing::RandomGraph<Pose>& scene, double per
   }
   GraphReplay<Pose> clean(scene.graph), dirty(graph);
   auto options = testing::OptionsFor(clean, strategy);
-  options.min_loop_gain = 0.5;
-  options.min_pose_gain = 3;
-  options.range.setConstant(1000);  // wrong loops come from anywhere
-  options.link_covariance = clean.LinkCovariance();
+  options.thresholds.min_loop_gain = 0.5;
+  options.thresholds.min_pose_gain = 3;
+  options.thresholds.range.setConstant(1000);  // wrong loops come from anywhere
+  options.thresholds.link_covariance = clean.LinkCovariance();
   const auto without = RunCompact(clean, options), with = RunCompact(dirty, options);
   const std::set<Link> good = Accepted(without), taken = Accepted(with);
   ASSERT_GT(good.size(), 20u);
@@ -191,7 +191,7 @@ TEST(InnovationScenes, WithoutTheTestWrongLoopsAreTaken) {
   const auto dirty = AddWrongLoops(scene.graph, scene.truth, 50, 7);
   GraphReplay<SE2> replay(dirty.graph);
   auto options = testing::OptionsFor(replay, Strategy::kApfl);
-  options.range.setConstant(1000);
+  options.thresholds.range.setConstant(1000);
   options.innovation_quantile.reset();
   const auto run = RunCompact(replay, options);
   for (const Decision& d : run.decisions) {
@@ -235,7 +235,7 @@ struct Course {
     CompactOptions<Pose> options;
     options.strategy = Strategy::kGiven;
     options.innovation_quantile = quantile;
-    options.min_loop_gain = 0.01;
+    options.thresholds.min_loop_gain = 0.01;
     return options;
   }
   static typename Pose::Jacobian Inverse(const typename Pose::Jacobian& M) {
@@ -421,7 +421,7 @@ TYPED_TEST(InnovationTest, ARunHealsWhenAWrongLinkIsRemoved) {
   const auto scene = testing::MakeRandomGraph<Pose>(rng, graph_options);
   GraphReplay<Pose> a(scene.graph), b(scene.graph);
   auto options = testing::OptionsFor(a, Strategy::kFpfl);
-  options.min_loop_gain = 0.5;
+  options.thresholds.min_loop_gain = 0.5;
   options.innovation_quantile.reset();
   CompactPoseSlam<Pose> clean(options), healed(options);
   for (std::size_t k = 0; k < a.Inputs().size(); ++k) {

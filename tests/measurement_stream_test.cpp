@@ -82,7 +82,7 @@ void ExpectSameAsReplay(Scene scene, Strategy strategy) {
   const auto graph = MakeScene<Pose>(scene, 120).graph;
   GraphReplay<Pose> replay(graph);
   CompactOptions<Pose> options = OptionsFor(replay, strategy);
-  options.min_pose_gain = 0;
+  options.thresholds.min_pose_gain = 0;
   const CompactRun<Pose> replayed = RunCompact(replay, options);
   StreamRun<Pose> streamed(options);
   streamed.AddAll(graph);
@@ -105,8 +105,8 @@ TEST(MeasurementStream, DecidesAsTheReplayOfTheGraph) {
 template <class Pose>
 CompactOptions<Pose> DroppingOptions(const PoseGraph<Pose>& graph) {
   CompactOptions<Pose> options = OptionsFor(GraphReplay<Pose>(graph), Strategy::kFpfl);
-  options.min_loop_gain = 0.5;
-  options.min_pose_gain = 4;
+  options.thresholds.min_loop_gain = 0.5;
+  options.thresholds.min_pose_gain = 4;
   return options;
 }
 
@@ -135,9 +135,9 @@ void ExpectLoopsToDroppedPoses() {
   std::vector<Pose> truth;
   const auto graph = Wander<Pose>(truth);
   CompactOptions<Pose> options;
-  options.range.setConstant(4);
-  options.min_loop_gain = 0.3;
-  options.min_pose_gain = 2 * Pose::kDof;
+  options.thresholds.range.setConstant(4);
+  options.thresholds.min_loop_gain = 0.3;
+  options.thresholds.min_pose_gain = 2 * Pose::kDof;
   StreamRun<Pose> streamed(options);
   streamed.AddAll(graph);
   // Only what is measured between two kept poses, as it was before loops were carried.
@@ -183,10 +183,10 @@ PosePriorFactor<SE2> Prior(std::int64_t id, const SE2& T_world_body) {
 CompactOptions<SE2> LineOptions(Strategy strategy = Strategy::kFpfl) {
   CompactOptions<SE2> options;
   options.strategy = strategy;
-  options.range = {3, 3, 1};
-  options.min_loop_gain = 0.1;
-  options.min_pose_gain = 1.5;
-  options.link_covariance = 0.0025 * Matrix<3, 3>::Identity();
+  options.thresholds.range = {3, 3, 1};
+  options.thresholds.min_loop_gain = 0.1;
+  options.thresholds.min_pose_gain = 1.5;
+  options.thresholds.link_covariance = 0.0025 * Matrix<3, 3>::Identity();
   return options;
 }
 
@@ -416,7 +416,7 @@ void ExpectErrorsChangeNothing(Strategy strategy, RobustKernel kernel, unsigned 
   SCOPED_TRACE("seed " + std::to_string(seed) + ", strategy " + Name(strategy));
   CompactOptions<Pose> options;
   options.strategy = strategy;
-  options.range.setConstant(3);
+  options.thresholds.range.setConstant(3);
   options.solver.robust.kernel = kernel;
   StreamRun<Pose> live(options), replayed(options);
   ExtremeStream<Pose> stream(seed);

@@ -314,9 +314,9 @@ class SameRun {
  private:
   static terse::CompactOptions<terse::SE2> Options() {
     terse::CompactOptions<terse::SE2> options;
-    options.range = {10, 10, 1.5};
-    options.min_loop_gain = 0.5;
-    options.min_pose_gain = 2;
+    options.thresholds.range = {10, 10, 1.5};
+    options.thresholds.min_loop_gain = 0.5;
+    options.thresholds.min_pose_gain = 2;
     return options;
   }
   terse::CompactPoseSlam<terse::SE2> slam_;

@@ -242,13 +242,8 @@ template <class Pose>
 void RunFewPosesFewLinks(const std::string& path) {
   const auto graph = Load<Pose>(path);
   GraphReplay<Pose> replay(graph);
-  const Thresholds<Pose> chosen = SelectThresholds(graph);
   CompactOptions<Pose> options;
-  options.range = chosen.range;
-  options.probability = chosen.probability;
-  options.min_loop_gain = chosen.min_loop_gain;
-  options.min_pose_gain = chosen.min_pose_gain;
-  options.link_covariance = replay.LinkCovariance();
+  options.thresholds = SelectThresholds(graph).thresholds;
   CompactPoseSlam<Pose> slam(options);
   std::size_t kept = 0;
   for (const auto& input : replay.Inputs()) {

@@ -89,7 +89,7 @@ TYPED_TEST(RecoveryTest, KeptPosesAreTheSameInAllAndPosesAreInOrderOfArrival) {
   const auto random = testing::MakeRandomGraph<TypeParam>(rng, options);
   GraphReplay<TypeParam> replay(random.graph);
   auto compact = testing::OptionsFor(replay, Strategy::kFpfl);
-  compact.min_pose_gain = 3;
+  compact.thresholds.min_pose_gain = 3;
   const auto run = RunCompact(replay, compact);
   ASSERT_GT(Dropped(*run.slam), 5);
   const auto v0 = run.slam->Trajectory(Recovery::kV0), v1 = run.slam->Trajectory(Recovery::kV1),
@@ -120,10 +120,10 @@ TYPED_TEST(RecoveryTest, V2IsTheMostLikelyChainBetweenItsEnds) {
         {PoseId{k}, PoseId{k + 1}, testing::RandomMotion<Pose>(rng, 1, 0.3), testing::RandomInformation<B>(rng, 1000)});
   }
   CompactOptions<Pose> options;
-  options.range.setConstant(10);
-  options.min_loop_gain = 0.01;
-  options.min_pose_gain = 1e9;
-  options.link_covariance = 1e-6 * Pose::Jacobian::Identity();
+  options.thresholds.range.setConstant(10);
+  options.thresholds.min_loop_gain = 0.01;
+  options.thresholds.min_pose_gain = 1e9;
+  options.thresholds.link_covariance = 1e-6 * Pose::Jacobian::Identity();
   CompactPoseSlam<Pose> slam(options);
   // A small misfit, so that first order is enough.
   const double misfit = 1e-4;

@@ -26,8 +26,8 @@ class StereoSlamTest : public ::testing::Test {
   static StereoSlamOptions Eager(Strategy strategy) {
     StereoSlamOptions options;
     options.compact.strategy = strategy;
-    options.compact.min_loop_gain = 1;
-    options.compact.min_pose_gain = 2;
+    options.compact.thresholds.min_loop_gain = 1;
+    options.compact.thresholds.min_pose_gain = 2;
     return options;
   }
   static double AteMetres(const StereoSlam& slam) {
@@ -118,7 +118,7 @@ TEST_F(StereoSlamTest, FramesThatShowNothingLeaveTheMapWhole) {
 
 TEST_F(StereoSlamTest, TheSamePlaceAgainAndAgainNeedsNoMoreFeatures) {
   StereoSlamOptions options = Eager(Strategy::kFpfl);
-  options.compact.min_pose_gain = 0;  // keep every pose
+  options.compact.thresholds.min_pose_gain = 0;  // keep every pose
   options.most_per_place = 2;
   options.place_radius = 100;
   options.place_angle = 3;

@@ -28,8 +28,8 @@ template <class Pose>
 CompactOptions<Pose> OptionsFor(const GraphReplay<Pose>& replay, Strategy strategy) {
   CompactOptions<Pose> options;
   options.strategy = strategy;
-  options.range = replay.LinkRange();
-  options.link_covariance = replay.LinkCovariance();
+  options.thresholds.range = replay.LinkRange();
+  options.thresholds.link_covariance = replay.LinkCovariance();
   return options;
 }
 
@@ -51,8 +51,8 @@ CompactRun<Pose> RunCompact(const PoseGraph<Pose>& graph, Strategy strategy, dou
                             double min_pose_gain) {
   GraphReplay<Pose> replay(graph);
   auto options = OptionsFor(replay, strategy);
-  options.min_loop_gain = min_loop_gain;
-  options.min_pose_gain = min_pose_gain;
+  options.thresholds.min_loop_gain = min_loop_gain;
+  options.thresholds.min_pose_gain = min_pose_gain;
   return RunCompact(replay, options);
 }
 
@@ -62,9 +62,9 @@ CompactRun<Pose> RunCompact(const PoseGraph<Pose>& graph, Strategy strategy, dou
 struct SlippingCircle {
   explicit SlippingCircle(int consensus = 3) {
     options.strategy = Strategy::kApfl;
-    options.range = Vector<3>(5, 5, 4);
-    options.min_loop_gain = 0.1;
-    options.link_covariance = 1e-4 * Matrix<3, 3>::Identity();
+    options.thresholds.range = Vector<3>(5, 5, 4);
+    options.thresholds.min_loop_gain = 0.1;
+    options.thresholds.link_covariance = 1e-4 * Matrix<3, 3>::Identity();
     options.consensus = consensus;
     options.failed_neighbourhood = 0;  // it is only these pairs that match
     const Matrix<3, 3> information = 1e4 * Matrix<3, 3>::Identity();

@@ -97,12 +97,12 @@ double Raise(double gain, double power) { return std::pow(gain + 1, power) - 1; 
 
 // The formulas and bounds of the header.
 template <class Pose>
-void ExpectFormulas(const Thresholds<Pose>& t) {
+void ExpectFormulas(const SampledThresholds<Pose>& t) {
   constexpr int kDof = Pose::kDof;
   const double loop = std::min(std::max(Raise(t.loop_gain_90, 1.36), 0.5 * kDof), 1.5 * kDof);
-  EXPECT_NEAR(t.min_loop_gain, loop, 1e-12 * loop);
+  EXPECT_NEAR(t.thresholds.min_loop_gain, loop, 1e-12 * loop);
   const double pose = std::max({Raise(t.pose_gain_90, 1.7), 0.9 * kDof, 0.9 * loop});
-  EXPECT_NEAR(t.min_pose_gain, pose, 1e-12 * pose);
+  EXPECT_NEAR(t.thresholds.min_pose_gain, pose, 1e-12 * pose);
 }
 
 template <class Pose>
@@ -121,8 +121,8 @@ void ExpectAsRecorded(const PoseGraph<Pose>& graph, double share, double toleran
   EXPECT_NEAR(chosen.pose_gain_90, pose, tolerance * pose + 1e-12);
   ExpectFormulas(chosen);
   const GraphReplay<Pose> replay(graph);
-  EXPECT_TRUE(chosen.link_covariance == replay.LinkCovariance());
-  EXPECT_TRUE(chosen.range == replay.LinkRange());
+  EXPECT_TRUE(chosen.thresholds.link_covariance == replay.LinkCovariance());
+  EXPECT_TRUE(chosen.thresholds.range == replay.LinkRange());
 }
 
 template <class Pose>
@@ -172,7 +172,7 @@ void ExpectNoTraceOfWrongLoops(const testing::RandomGraph<Pose>& scene, double p
   const auto expected = SelectThresholds(clean, options), believed = SelectThresholds(with.graph, options);
   options.innovation_quantile = 0.9999;
   const auto same = SelectThresholds(clean, options), tested = SelectThresholds(with.graph, options);
-  EXPECT_TRUE(same.range == expected.range) << "of true loops none is refused";
+  EXPECT_TRUE(same.thresholds.range == expected.thresholds.range) << "of true loops none is refused";
   EXPECT_EQ(same.loop_gain_90, expected.loop_gain_90);
   EXPECT_EQ(same.pose_gain_90, expected.pose_gain_90);
   EXPECT_NEAR(tested.loop_gain_90, expected.loop_gain_90, 1e-6 * expected.loop_gain_90);
@@ -227,8 +227,8 @@ TEST(ThresholdsScenes, ManyLinksCostNoMore) {
   const auto all = SelectThresholds(graph, options);
   EXPECT_EQ(all.sample_poses, poses);
   EXPECT_NEAR(chosen.loop_gain_90, all.loop_gain_90, 0.1);
-  EXPECT_NEAR(chosen.min_loop_gain, all.min_loop_gain, 0.05 * all.min_loop_gain);
-  EXPECT_NEAR(chosen.range[0], all.range[0], 0.05 * all.range[0]);
+  EXPECT_NEAR(chosen.thresholds.min_loop_gain, all.thresholds.min_loop_gain, 0.05 * all.thresholds.min_loop_gain);
+  EXPECT_NEAR(chosen.thresholds.range[0], all.thresholds.range[0], 0.05 * all.thresholds.range[0]);
 }
 
 // A far loop in the last tenth of a long run is seen: before, the sample ended at 60 % of it.
@@ -261,11 +261,11 @@ TEST(ThresholdsScenes, RangeIsTheSensors) {
       longest = std::max(longest, (at(other).Inverse() * at(input.id)).Translation().norm());
     }
   }
-  EXPECT_LT(plain.range[0], 1.7 * longest) << "1.5 times what is measured, with its noise";
-  EXPECT_GT(plain.range[0], 0.9 * longest);
+  EXPECT_LT(plain.thresholds.range[0], 1.7 * longest) << "1.5 times what is measured, with its noise";
+  EXPECT_GT(plain.thresholds.range[0], 0.9 * longest);
   graph.AddFactor(RelativePoseFactor<SE2>{graph.Poses()[3].id, graph.Poses()[200].id, SE2::Exp({1000, 0, 0}),
                                           Matrix<3, 3>::Identity()});
-  EXPECT_LT(SelectThresholds(graph).range[0], 1.1 * plain.range[0]);
+  EXPECT_LT(SelectThresholds(graph).thresholds.range[0], 1.1 * plain.thresholds.range[0]);
 }
 
 // Odometry so good that gains are next to nothing, and so bad that they are large: both ends of the bounds.
@@ -287,11 +287,11 @@ TYPED_TEST(ThresholdsTest, AreBounded) {
     const auto chosen = SelectThresholds(graph);
     ExpectFormulas(chosen);
     if (scale < 1) {
-      EXPECT_EQ(chosen.min_loop_gain, 0.5 * Pose::kDof);
-      EXPECT_EQ(chosen.min_pose_gain, 0.9 * Pose::kDof);
+      EXPECT_EQ(chosen.thresholds.min_loop_gain, 0.5 * Pose::kDof);
+      EXPECT_EQ(chosen.thresholds.min_pose_gain, 0.9 * Pose::kDof);
     } else {
-      EXPECT_EQ(chosen.min_loop_gain, 1.5 * Pose::kDof);
-      EXPECT_GE(chosen.min_pose_gain, 0.9 * 1.5 * Pose::kDof);
+      EXPECT_EQ(chosen.thresholds.min_loop_gain, 1.5 * Pose::kDof);
+      EXPECT_GE(chosen.thresholds.min_pose_gain, 0.9 * 1.5 * Pose::kDof);
     }
   }
 }
@@ -314,15 +314,15 @@ TYPED_TEST(ThresholdsTest, TheSampleIsWhatWasAskedFor) {
   options.share = 10 / 36.0;
   const auto same = SelectThresholds(graph, options);
   EXPECT_EQ(same.sample_poses, 10);
-  EXPECT_EQ(same.min_loop_gain, capped.min_loop_gain);
-  EXPECT_EQ(same.min_pose_gain, capped.min_pose_gain);
-  EXPECT_TRUE(same.range == capped.range);
+  EXPECT_EQ(same.thresholds.min_loop_gain, capped.thresholds.min_loop_gain);
+  EXPECT_EQ(same.thresholds.min_pose_gain, capped.thresholds.min_pose_gain);
+  EXPECT_TRUE(same.thresholds.range == capped.thresholds.range);
   // Nothing to learn from: what the links say remains.
   options.share = 1e-3;
   const auto none = SelectThresholds(graph, options);
   EXPECT_EQ(none.sample_poses, 0);
-  EXPECT_EQ(none.min_loop_gain, 0.5 * TypeParam::kDof);
-  EXPECT_TRUE(none.range == GraphReplay<TypeParam>(graph).LinkRange());
+  EXPECT_EQ(none.thresholds.min_loop_gain, 0.5 * TypeParam::kDof);
+  EXPECT_TRUE(none.thresholds.range == GraphReplay<TypeParam>(graph).LinkRange());
 }
 
 TYPED_TEST(ThresholdsTest, MisuseIsRefused) {

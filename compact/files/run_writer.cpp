@@ -158,7 +158,7 @@ double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
     std::filesystem::remove(folder + name, ignored);
   }
   const CompactOptions<Pose>& options = run.slam.Options();
-  WriteThresholds(options, folder + "/thresholds.json");
+  WriteThresholds(options.thresholds, folder + "/thresholds.json");
   const PoseGraph<Pose>& kept = run.slam.Solver().Graph();
   WriteG2o(kept.WithPoses(run.result.T_world_body), folder + "/compact.g2o", run.rotation_information,
            InformationComment(run.information_scale));

@@ -72,7 +72,7 @@ typename Pose::Jacobian LinkCovariance(const json& object, const std::string& pa
 int ReadThresholdsDimension(const std::string& path) { return DimensionIn(ReadObject(path), path); }
 
 template <class Pose>
-void ReadThresholds(const std::string& path, CompactOptions<Pose>& options) {
+Thresholds<Pose> ReadThresholds(const std::string& path) {
   constexpr int kSize = Displacement<Pose>::kSize;
   const json object = ReadObject(path);
   const int dimension = DimensionIn(object, path);
@@ -81,7 +81,7 @@ void ReadThresholds(const std::string& path, CompactOptions<Pose>& options) {
         path, 0,
         "thresholds for " + std::to_string(dimension) + "D, but the run is " + std::to_string(Pose::kDim) + "D");
   }
-  CompactOptions<Pose> read = options;
+  Thresholds<Pose> read;
   const std::vector<double> range = Numbers(At(object, "range", path), kSize, "range", path);
   read.range = Eigen::Map<const Vector<kSize>>(range.data());
   if (!(read.range.array() > 0).all()) throw KeyError(path, "range", "holds a number that is not positive");
@@ -90,17 +90,17 @@ void ReadThresholds(const std::string& path, CompactOptions<Pose>& options) {
   read.min_loop_gain = NonNegative(object, "min_loop_gain", path);
   read.min_pose_gain = NonNegative(object, "min_pose_gain", path);
   read.link_covariance = LinkCovariance<Pose>(object, path);
-  options = read;
+  return read;
 }
 
 template <class Pose>
-void WriteThresholds(const CompactOptions<Pose>& options, const std::string& path) {
-  WriteJson(ThresholdsToJson(options), path);
+void WriteThresholds(const Thresholds<Pose>& thresholds, const std::string& path) {
+  WriteJson(ThresholdsToJson(thresholds), path);
 }
 
-template void ReadThresholds<SE2>(const std::string&, CompactOptions<SE2>&);
-template void ReadThresholds<SE3>(const std::string&, CompactOptions<SE3>&);
-template void WriteThresholds<SE2>(const CompactOptions<SE2>&, const std::string&);
-template void WriteThresholds<SE3>(const CompactOptions<SE3>&, const std::string&);
+template Thresholds<SE2> ReadThresholds<SE2>(const std::string&);
+template Thresholds<SE3> ReadThresholds<SE3>(const std::string&);
+template void WriteThresholds<SE2>(const Thresholds<SE2>&, const std::string&);
+template void WriteThresholds<SE3>(const Thresholds<SE3>&, const std::string&);
 
 }  // namespace terse

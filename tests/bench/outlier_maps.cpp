@@ -50,11 +50,7 @@ MapResult MapRuns<Pose>::Compact(const Contaminated<Pose>& with, const Threshold
                                  int consensus, bool gnc) const {
   MapResult out;
   CompactOptions<Pose> settings;
-  settings.range = thresholds.range;
-  settings.probability = thresholds.probability;
-  settings.min_loop_gain = thresholds.min_loop_gain;
-  settings.min_pose_gain = thresholds.min_pose_gain;
-  settings.link_covariance = thresholds.link_covariance;
+  settings.thresholds = thresholds;
   settings.innovation_quantile = test ? std::optional<double>(kQuantile) : std::nullopt;
   settings.consensus = consensus;
   if (gnc) settings.solver.robust = Robust(RobustKernel::kGnc);

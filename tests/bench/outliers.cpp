@@ -63,9 +63,9 @@ class SceneRun {
       if (factor != 1) contaminated_.back().graph = Scaled(contaminated_.back().graph, factor);
       Say(scene_.name + ", thresholds, " + Format("%g %%", percent));
       SampleOptions options;
-      thresholds_.push_back(SelectThresholds(contaminated_.back().graph, options));
+      thresholds_.push_back(SelectThresholds(contaminated_.back().graph, options).thresholds);
       options.innovation_quantile = kQuantile;
-      tested_.push_back(SelectThresholds(contaminated_.back().graph, options));
+      tested_.push_back(SelectThresholds(contaminated_.back().graph, options).thresholds);
     }
   }
 

@@ -15,7 +15,7 @@ void Continue(const CompactMap<Pose>& map) {
   if (map.poses.size() > kMostContinued || map.edges.size() > 2 * kMostContinued) return;
   Done([&] {
     CompactOptions<Pose> options;
-    options.range.setConstant(10);
+    options.thresholds.range.setConstant(10);
     CompactPoseSlam<Pose> slam = CompactPoseSlam<Pose>::Restore(map, options);
     slam.Export();
   });

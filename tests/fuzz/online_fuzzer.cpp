@@ -58,7 +58,7 @@ template <class Pose>
 void Take(std::string_view text, int choice) {
   CompactOptions<Pose> options;
   options.strategy = choice % 2 == 0 ? Strategy::kFpfl : Strategy::kApal;
-  options.range.setConstant(10);
+  options.thresholds.range.setConstant(10);
   if (choice / 2 % 2 != 0) options.solver.robust.kernel = RobustKernel::kHuber;
   ReadOptions read;
   read.repair_information = choice / 4 % 2 != 0;

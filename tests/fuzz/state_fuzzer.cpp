@@ -43,7 +43,7 @@ template <class Pose>
 void SaveMap(const std::string& path, Strategy strategy) {
   CompactOptions<Pose> options;
   options.strategy = strategy;
-  options.range.setConstant(3);
+  options.thresholds.range.setConstant(3);
   CompactPoseSlam<Pose> slam(options);
   for (std::int64_t k = 0; k < 8; ++k) {
     CompactInput<Pose> input;

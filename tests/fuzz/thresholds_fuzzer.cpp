@@ -9,12 +9,11 @@ namespace {
 
 template <class Pose>
 void ReadAs(const std::string& path, const ScratchFolder& folder) {
-  CompactOptions<Pose> options, again;
-  if (!Done([&] { ReadThresholds(path, options); })) return;
+  Thresholds<Pose> read;
+  if (!Done([&] { read = ReadThresholds<Pose>(path); })) return;
   const std::string copy = folder.Path("again.json");
-  WriteThresholds(options, copy);
-  ReadThresholds(copy, again);
-  Expect(ThresholdsToJson(options) == ThresholdsToJson(again), "the same thresholds");
+  WriteThresholds(read, copy);
+  Expect(ThresholdsToJson(read) == ThresholdsToJson(ReadThresholds<Pose>(copy)), "the same thresholds");
 }
 
 }  // namespace

@@ -76,23 +76,24 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.log = from.log;
   options.max_registrations = from.max_registrations;
   options.record = from.record;
-  options.link_covariance = replay.LinkCovariance();
-  options.probability = from.probability.value_or(options.probability);
+  Thresholds<Pose>& thresholds = options.thresholds;
+  thresholds.link_covariance = replay.LinkCovariance();
+  thresholds.probability = from.probability.value_or(thresholds.probability);
   const bool complete = !from.range.empty() && from.min_loop_gain && from.min_pose_gain;
   if (!from.thresholds.empty()) {
-    ReadThresholds(from.thresholds, options);
+    thresholds = ReadThresholds<Pose>(from.thresholds);
   } else if (from.auto_thresholds || (!complete && from.strategy != Strategy::kApal)) {
     const double before = SecondsNow();
-    const Thresholds<Pose> chosen = SampleWithProgress(graph, from.sample, "sample", from.quiet, options);
+    const SampledThresholds<Pose> chosen = SampleWithProgress(graph, from.sample, "sample", from.quiet, options);
     sample = {{"poses", chosen.sample_poses},
               {"loop_gain_90", chosen.loop_gain_90},
               {"pose_gain_90", chosen.pose_gain_90},
               {"seconds", SecondsNow() - before}};
   }
-  if (!from.range.empty()) options.range = Eigen::Map<const Vector<kSize>>(from.range.data());
-  options.probability = from.probability.value_or(options.probability);
-  options.min_loop_gain = from.min_loop_gain.value_or(options.min_loop_gain);
-  options.min_pose_gain = from.min_pose_gain.value_or(options.min_pose_gain);
+  if (!from.range.empty()) thresholds.range = Eigen::Map<const Vector<kSize>>(from.range.data());
+  thresholds.probability = from.probability.value_or(thresholds.probability);
+  thresholds.min_loop_gain = from.min_loop_gain.value_or(thresholds.min_loop_gain);
+  thresholds.min_pose_gain = from.min_pose_gain.value_or(thresholds.min_pose_gain);
   return options;
 }
 

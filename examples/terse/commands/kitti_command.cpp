@@ -70,7 +70,7 @@ struct Outcome {
 Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, const std::vector<SE3>& truth,
                 const KittiCommandOptions& options, bool by_appearance, const std::string& folder) {
   KittiRunOptions how;
-  if (!options.thresholds.empty()) ReadThresholds(options.thresholds, how.slam.compact);
+  if (!options.thresholds.empty()) how.slam.compact.thresholds = ReadThresholds<SE3>(options.thresholds);
   how.slam.compact.strategy = options.strategy;
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;

@@ -265,24 +265,25 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   constexpr int kSize = Displacement<Pose>::kSize;
   CompactOptions<Pose> options;
   options.strategy = from.strategy;
-  if (!from.thresholds.empty()) ReadThresholds(from.thresholds, options);
+  Thresholds<Pose>& thresholds = options.thresholds;
+  if (!from.thresholds.empty()) thresholds = ReadThresholds<Pose>(from.thresholds);
   if (!from.range.empty()) {
     if (from.range.size() != kSize) {
       throw CLI::ValidationError("--range", std::to_string(from.range.size()) + " numbers given, but a " +
                                                 std::to_string(Pose::kDim) + "D run takes " +
                                                 (kSize == 4 ? "X Y Z ANGLE" : "X Y ANGLE"));
     }
-    options.range = Eigen::Map<const Vector<kSize>>(from.range.data());
+    thresholds.range = Eigen::Map<const Vector<kSize>>(from.range.data());
   }
   if (!from.link_deviation.empty()) {
     Vector<Pose::kDof> deviation;
     deviation.setConstant(from.link_deviation[1]);
     deviation.template head<Pose::kDim>().setConstant(from.link_deviation[0]);
-    options.link_covariance = deviation.cwiseAbs2().asDiagonal();
+    thresholds.link_covariance = deviation.cwiseAbs2().asDiagonal();
   }
-  options.probability = from.probability.value_or(options.probability);
-  options.min_loop_gain = from.min_loop_gain.value_or(options.min_loop_gain);
-  options.min_pose_gain = from.min_pose_gain.value_or(options.min_pose_gain);
+  thresholds.probability = from.probability.value_or(thresholds.probability);
+  thresholds.min_loop_gain = from.min_loop_gain.value_or(thresholds.min_loop_gain);
+  thresholds.min_pose_gain = from.min_pose_gain.value_or(thresholds.min_pose_gain);
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
   options.log = from.log;
@@ -292,7 +293,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
 // What a journal's lines mean depends on these.
 template <class Pose>
 ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options) {
-  ordered_json json = ThresholdsToJson(settings);
+  ordered_json json = ThresholdsToJson(settings.thresholds);
   json["strategy"] = Name(settings.strategy);
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;

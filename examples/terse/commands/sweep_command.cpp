@@ -61,17 +61,18 @@ struct Sweep {
 template <class Pose>
 SweepRow RunAt(double scale, const PoseGraph<Pose>& graph, CompactOptions<Pose> settings,
                const Reference<Pose>& reference, const SweepOptions& options) {
-  if (options.scaled == Scaled::kLoop) settings.min_loop_gain *= scale;
-  if (options.scaled == Scaled::kPose) settings.min_pose_gain *= scale;
-  if (options.scaled == Scaled::kRange) settings.range *= scale;
+  Thresholds<Pose>& thresholds = settings.thresholds;
+  if (options.scaled == Scaled::kLoop) thresholds.min_loop_gain *= scale;
+  if (options.scaled == Scaled::kPose) thresholds.min_pose_gain *= scale;
+  if (options.scaled == Scaled::kRange) thresholds.range *= scale;
   GraphReplay<Pose> replay(graph);
   const std::string label = std::string(Name(options.scaled)) + " x " + Cell(scale);
   const CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), replay, label, options.quiet);
   SweepRow row;
   row.scale = scale;
-  row.range.assign(settings.range.data(), settings.range.data() + settings.range.size());
-  row.min_loop_gain = settings.min_loop_gain;
-  row.min_pose_gain = settings.min_pose_gain;
+  row.range.assign(thresholds.range.data(), thresholds.range.data() + thresholds.range.size());
+  row.min_loop_gain = thresholds.min_loop_gain;
+  row.min_pose_gain = thresholds.min_pose_gain;
   row.poses = run.PosesKept();
   row.links = run.LinksKept();
   row.registrations = run.registrations_tried;
@@ -100,7 +101,7 @@ Sweep RunSweep(const PoseGraph<Pose>& graph, const SweepOptions& options) {
   if (options.thresholds.empty()) {
     SampleWithProgress(graph, options.sample, "sample", options.quiet, base);
   } else {
-    ReadThresholds(options.thresholds, base);
+    base.thresholds = ReadThresholds<Pose>(options.thresholds);
   }
   for (int k = 0; k < options.steps; ++k) {
     const double share = options.steps > 1 ? static_cast<double>(k) / (options.steps - 1) : 0;

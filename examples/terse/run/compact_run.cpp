@@ -7,8 +7,8 @@
 namespace terse {
 
 template <class Pose>
-Thresholds<Pose> SampleWithProgress(const PoseGraph<Pose>& graph, std::optional<double> share, const std::string& label,
-                                    bool quiet, CompactOptions<Pose>& settings) {
+SampledThresholds<Pose> SampleWithProgress(const PoseGraph<Pose>& graph, std::optional<double> share,
+                                           const std::string& label, bool quiet, CompactOptions<Pose>& settings) {
   Progress progress(label, 0, quiet);
   SampleOptions sample;
   if (share) {
@@ -32,8 +32,8 @@ CompactRun<Pose> RunWithProgress(CompactPoseSlam<Pose> slam, const GraphReplay<P
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                        \
-  template Thresholds<Pose> SampleWithProgress<Pose>(const PoseGraph<Pose>&, std::optional<double>,                    \
-                                                     const std::string&, bool, CompactOptions<Pose>&);                 \
+  template SampledThresholds<Pose> SampleWithProgress<Pose>(const PoseGraph<Pose>&, std::optional<double>,             \
+                                                            const std::string&, bool, CompactOptions<Pose>&);          \
   template CompactRun<Pose> RunWithProgress<Pose>(CompactPoseSlam<Pose>, const GraphReplay<Pose>&, const std::string&, \
                                                   bool, const AfterStep<Pose>&);
 TERSE_INSTANTIATE(SE2)

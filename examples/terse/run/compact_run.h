@@ -10,8 +10,8 @@ namespace terse {
 
 // SampleThresholds. `share`: of the poses; by default SelectThresholds's own.
 template <class Pose>
-Thresholds<Pose> SampleWithProgress(const PoseGraph<Pose>& graph, std::optional<double> share, const std::string& label,
-                                    bool quiet, CompactOptions<Pose>& settings);
+SampledThresholds<Pose> SampleWithProgress(const PoseGraph<Pose>& graph, std::optional<double> share,
+                                           const std::string& label, bool quiet, CompactOptions<Pose>& settings);
 
 // RunCompact.
 template <class Pose>

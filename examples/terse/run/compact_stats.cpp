@@ -33,7 +33,7 @@ Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const
   stats.more["registrations_tried"] = run.registrations_tried;
   stats.more["links_refused"] = run.links_refused;
   stats.more["restarts"] = run.slam.Solver().Restarts();
-  nlohmann::ordered_json thresholds = ThresholdsToJson(run.slam.Options());
+  nlohmann::ordered_json thresholds = ThresholdsToJson(run.slam.Options().thresholds);
   thresholds.erase("link_covariance");
   stats.more["thresholds"] = std::move(thresholds);
   if (errors) {

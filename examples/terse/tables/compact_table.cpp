@@ -71,12 +71,9 @@ class TableRun {
   void ChooseThresholds() {
     const double before = SecondsNow();
     SampleWithProgress(named_.graph, options_.sample, row_.graph + " sample", options_.quiet, settings_);
-    const auto& range = settings_.range;
-    row_.thresholds = {{range.data(), range.data() + range.size()},
-                       settings_.probability,
-                       settings_.min_loop_gain,
-                       settings_.min_pose_gain,
-                       SecondsNow() - before};
+    const auto& [range, probability, min_loop_gain, min_pose_gain, link_covariance] = settings_.thresholds;
+    row_.thresholds = {
+        {range.data(), range.data() + range.size()}, probability, min_loop_gain, min_pose_gain, SecondsNow() - before};
   }
 
   // With the covariances of every step, or (APFL, FPFL, random) those that it asks for itself.

@@ -73,8 +73,8 @@ void SolveAndCompact(const char* path) {
     return edges(candidate, current);
   };
   terse::CompactOptions<SE3> options;
-  options.range = replay.LinkRange();
-  options.link_covariance = replay.LinkCovariance();
+  options.thresholds.range = replay.LinkRange();
+  options.thresholds.link_covariance = replay.LinkCovariance();
   terse::CompactPoseSlam<SE3> slam(options);
   std::vector<terse::Decision> decisions;
   for (terse::CompactInput<SE3> input : replay.Inputs()) {

@@ -61,12 +61,12 @@ template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kFpfl,
                               const AfterStep<Pose>& after_step = nullptr);
 
-// Puts thresholds from a sample of the graph (SelectThresholds) into `options`: range, gains and the link covariance
-// they go with. The sample's probability, distance and innovation quantile are those of `options`; its share and size
-// are asked for in `sample`. Returns what they were chosen by.
+// Puts thresholds from a sample of the graph (SelectThresholds) into `options`. The sample's probability, distance and
+// innovation quantile are those of `options`; its share and size are asked for in `sample`. Returns, too, what they
+// were chosen by.
 template <class Pose>
-Thresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<Pose>& options,
-                                  SampleOptions sample = {});
+SampledThresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOptions<Pose>& options,
+                                         SampleOptions sample = {});
 
 extern template struct CompactRun<SE2>;
 extern template struct CompactRun<SE3>;

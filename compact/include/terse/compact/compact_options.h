@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "terse/compact/distance.h"
+#include "terse/compact/threshold_values.h"
 #include "terse/compact/uncertain_pose.h"
 #include "terse/core/incremental_solver.h"
 
@@ -26,25 +27,17 @@ inline constexpr double kInnovationQuantile = 0.9999, kInnovationQuantileOfScale
 template <class Pose>
 struct CompactOptions {
   Strategy strategy = Strategy::kFpfl;
-  // v. Sensor range per dimension of the displacement: metres, then radians.
-  Vector<Displacement<Pose>::kSize> range = Vector<Displacement<Pose>::kSize>::Constant(1);
-  // s: a pose counts as within range when every dimension is with more than this probability (Ila et al. 2017 Eq. 18).
-  double probability = 0.1;
-  // A pose is a candidate for a link when it is within range, or when the range meets the ellipsoid that holds the
-  // displacement with this probability: a map that has drifted far knows no displacement well, and that is when it
-  // needs its loops. The probability of that equation then says in which order they are registered.
+  Thresholds<Pose> thresholds;
+  // A pose is a candidate for a link when it is within range (Thresholds::probability), or when the range meets the
+  // ellipsoid that holds the displacement with this probability: a map that has drifted far knows no displacement well,
+  // and that is when it needs its loops. The probability of being in range then says in which order they are
+  // registered.
   double plausible_quantile = 0.9999;
   // Registrations per pose, at most; at least 1. The most information that can be expected of one comes first.
   int max_registrations = 8;
   // Where a registration failed lately, no other is tried between poses that lie within this share of the sensor range
   // of the two: they look the same to the sensor.
   double failed_neighbourhood = 0.25;
-  // g_loop, g_pose, nats. These keep much: SelectThresholds (thresholds.h) takes at least 0.5 and 0.9 nats per degree
-  // of freedom, 3 and 5.4 in 3D, and the range from the data too.
-  double min_loop_gain = 1.0;
-  double min_pose_gain = 3.0;
-  // Covariance expected of a registration, body frame of the newer pose.
-  typename Pose::Jacobian link_covariance = 0.01 * Pose::Jacobian::Identity();
   DistanceOptions distance;                                 // how angles are measured, 3D only
   CompositionOrder composition = CompositionOrder::kFirst;  // of the chains over dropped poses
   // A link whose innovation a correct one exceeds with less than the remaining probability is taken for wrong, before

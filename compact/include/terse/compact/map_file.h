@@ -3,7 +3,7 @@
 //
 //     const CompactMapFile file = ReadCompactMap("run/graph.json");
 //     CompactOptions<SE3> options;
-//     ReadThresholds("run/thresholds.json", options);  // thresholds_file.h
+//     options.thresholds = ReadThresholds<SE3>("run/thresholds.json");  // thresholds_file.h
 //     auto slam = CompactPoseSlam<SE3>::Restore(std::get<CompactMap<SE3>>(file.map), options);
 //     ...
 //     WriteCompactMap(slam.Export(), options.strategy, "run/graph.json", file.information_scale);

@@ -4,19 +4,18 @@
 #include <optional>
 
 #include "terse/compact/graph_replay.h"
+#include "terse/compact/threshold_values.h"
 
 namespace terse {
 
+// Thresholds, and what they were chosen by.
 template <class Pose>
-struct Thresholds {
-  Vector<Displacement<Pose>::kSize> range;      // v
-  double probability = 0.1;                     // s
-  double min_loop_gain = 0, min_pose_gain = 0;  // g_loop, g_pose, nats
-  typename Pose::Jacobian link_covariance;      // expected of a registration: the mean of the graph's links
-  double loop_gain_90 = 0, pose_gain_90 = 0;    // l90, p90, nats: what the gains were chosen by
-  long sample_poses = 0;                        // looked at
-  long sample_loops = 0;                        // of theirs looked at, at most 12 of a pose
-  long sample_links = 0;                        // that the sample's map was made of, at most 4 of a pose
+struct SampledThresholds {
+  Thresholds<Pose> thresholds;                // link_covariance: the mean of the graph's links
+  double loop_gain_90 = 0, pose_gain_90 = 0;  // l90, p90, nats
+  long sample_poses = 0;                      // looked at
+  long sample_loops = 0;                      // of theirs looked at, at most 12 of a pose
+  long sample_links = 0;                      // that the sample's map was made of, at most 4 of a pose
 };
 
 struct SampleOptions {
@@ -30,6 +29,10 @@ struct SampleOptions {
   std::function<void(long done, long total)> progress;
 };
 
+// The poses that a sample looks at: one drawn from each of `count` (at most `poses`) equal parts of the run, the same
+// ones every time. Ascending, from 0.
+std::vector<long> SamplePositions(long poses, long count);
+
 // Replays the run up to the last pose that is looked at. All poses join the sample's map, but few of a pose's links,
 // each with the information of those that it stands for, so that time and memory do not grow with the number of links.
 // range: the replay's LinkRange, that is, the sensor's own, by what all links of the run measure. The map's uncertainty
@@ -40,15 +43,11 @@ struct SampleOptions {
 // there is about a part of it: the upper bound falls to 0.02 nats with the loops per pose.
 // min_pose_gain: exp(1.7 ln(p90 + 1)) - 1, p90 being the percentile of the least gain per pose among its link to the
 // pose before and the loops it has; at least 0.9 nat per degree of freedom, about what a registration tells of a
-// displacement known half as well (in standard deviations) as it measures, and 0.9 of what min_loop_gain
-// would be if loops were not rare. The bounds are
-// ours: where links are many or odometry is good, as on kitti00_all_loops, the percentiles are those of gains that say
-// next to nothing. Throws std::invalid_argument if the graph is empty or not connected.
-// The poses that a sample looks at: one drawn from each of `count` (at most `poses`) equal parts of the run, the same
-// ones every time. Ascending, from 0.
-std::vector<long> SamplePositions(long poses, long count);
-
+// displacement known half as well (in standard deviations) as it measures, and 0.9 of what min_loop_gain would be if
+// loops were not rare.
+// The bounds are ours: where links are many or odometry is good, as on kitti00_all_loops, the percentiles are those of
+// gains that say next to nothing. Throws std::invalid_argument if the graph is empty or not connected.
 template <class Pose>
-Thresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options = {});
+SampledThresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options = {});
 
 }  // namespace terse

@@ -7,18 +7,17 @@
 
 #include <string>
 
-#include "terse/compact/compact_options.h"
+#include "terse/compact/threshold_values.h"
 
 namespace terse {
 
 // 2 or 3: what the file is for. Both throw FileError with the path and, where one is wrong, the key.
 int ReadThresholdsDimension(const std::string& path);
-// Sets what the file holds and leaves the rest of `options`; sets nothing if it throws.
 template <class Pose>
-void ReadThresholds(const std::string& path, CompactOptions<Pose>& options);
+Thresholds<Pose> ReadThresholds(const std::string& path);
 
 // Written whole or not at all. Throws FileError.
 template <class Pose>
-void WriteThresholds(const CompactOptions<Pose>& options, const std::string& path);
+void WriteThresholds(const Thresholds<Pose>& thresholds, const std::string& path);
 
 }  // namespace terse

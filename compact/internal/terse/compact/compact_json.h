@@ -12,6 +12,6 @@ nlohmann::ordered_json ToJson(const InformationScale& scale);
 
 // As in thresholds.json.
 template <class Pose>
-nlohmann::ordered_json ThresholdsToJson(const CompactOptions<Pose>& options);
+nlohmann::ordered_json ThresholdsToJson(const Thresholds<Pose>& thresholds);
 
 }  // namespace terse
