@@ -177,8 +177,8 @@ void AddRobustStats(const PoseGraph<Pose>& graph, const BatchResult<Pose>& resul
     ++k;
   }
   stats.more["robust"] = {{"kernel", WordOf(robust.kernel)}, {"width", WidthOf(robust, Pose::kDof)},
-                          {"cost", result.robust_cost},    {"loops", LoopFactors(graph).size()},
-                          {"rejected", rejected.size()},   {"loops_rejected", rejected}};
+                          {"cost", result.robust_cost},      {"loops", LoopFactors(graph).size()},
+                          {"rejected", rejected.size()},     {"loops_rejected", rejected}};
 }
 
 template <class Pose>
