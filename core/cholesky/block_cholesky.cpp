@@ -7,7 +7,7 @@
 #include "cholesky/rank_update.h"
 #include "cholesky/region.h"
 #include "support/version.h"
-#include "terse/core/state_members.h"
+#include "terse/core/graph_members.h"
 
 namespace terse {
 

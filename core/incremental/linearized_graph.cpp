@@ -8,8 +8,8 @@
 #include "incremental/update_plan.h"
 #include "support/stopwatch.h"
 #include "terse/core/front_paths.h"
+#include "terse/core/graph_members.h"
 #include "terse/core/residual.h"
-#include "terse/core/state_members.h"
 
 namespace terse::internal {
 namespace {
