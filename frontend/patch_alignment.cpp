@@ -10,6 +10,30 @@ constexpr double kSettled = 0.01;  // pixels of the patch
 // Least sum of squared gradients, (grey levels per pixel)^2: below, noise of a few grey levels decides.
 constexpr double kLeastTexture = 1500;
 
+// Samples a square of kSide x kSide points, `spacing` pixels apart, bilinearly. Returns the sum.
+template <int kSide, std::size_t kCount>
+float Sample(const cv::Mat& image, double left, double top, double spacing, std::array<float, kCount>& sampled) {
+  static_assert(kCount == static_cast<std::size_t>(kSide) * kSide);
+  float sum = 0;
+  std::size_t k = 0;
+  for (int row = 0; row < kSide; ++row) {
+    const double v = top + row * spacing;
+    const int v0 = static_cast<int>(v);
+    const auto fv = static_cast<float>(v - v0);
+    const std::uint8_t *upper = image.ptr(v0), *lower = image.ptr(v0 + 1);
+    for (int column = 0; column < kSide; ++column, ++k) {
+      const double u = left + column * spacing;
+      const int u0 = static_cast<int>(u);
+      const auto fu = static_cast<float>(u - u0);
+      const float a = static_cast<float>(upper[u0]) + fu * static_cast<float>(upper[u0 + 1] - upper[u0]);
+      const float b = static_cast<float>(lower[u0]) + fu * static_cast<float>(lower[u0 + 1] - lower[u0]);
+      sampled[k] = a + fv * (b - a);
+      sum += sampled[k];
+    }
+  }
+  return sum;
+}
+
 }  // namespace
 
 AlignmentTemplate::AlignmentTemplate(const Patch& patch) {
@@ -54,26 +78,9 @@ std::optional<AlignmentTemplate::Place> AlignmentTemplate::Find(const cv::Mat& i
   for (int iteration = 0; iteration < kIterations; ++iteration) {
     const double left = x - half, top = y - half;
     if (!(left >= 0 && top >= 0 && x + half < image.cols - 1 && y + half < image.rows - 1)) return std::nullopt;
-    float sum = 0;
-    std::size_t k = 0;
-    for (int row = 0; row < kInner; ++row) {
-      const double v = top + row * spacing;
-      const int v0 = static_cast<int>(v);
-      const auto fv = static_cast<float>(v - v0);
-      const std::uint8_t *upper = image.ptr(v0), *lower = image.ptr(v0 + 1);
-      for (int column = 0; column < kInner; ++column, ++k) {
-        const double u = left + column * spacing;
-        const int u0 = static_cast<int>(u);
-        const auto fu = static_cast<float>(u - u0);
-        const float a = static_cast<float>(upper[u0]) + fu * static_cast<float>(upper[u0 + 1] - upper[u0]);
-        const float b = static_cast<float>(lower[u0]) + fu * static_cast<float>(lower[u0 + 1] - lower[u0]);
-        sampled[k] = a + fv * (b - a);
-        sum += sampled[k];
-      }
-    }
-    const float mean = sum / kCount;
+    const float mean = Sample<kInner>(image, left, top, spacing, sampled) / kCount;
     float squares = 0, product = 0;
-    for (k = 0; k < kCount; ++k) {
+    for (std::size_t k = 0; k < kCount; ++k) {
       sampled[k] -= mean;
       squares += sampled[k] * sampled[k];
       product += sampled[k] * value_[k];
@@ -82,7 +89,7 @@ std::optional<AlignmentTemplate::Place> AlignmentTemplate::Find(const cv::Mat& i
     place = {x, y, product / (std::sqrt(squares) * norm_)};
     const auto contrast = static_cast<float>(norm_ / std::sqrt(squares));
     float b_x = 0, b_y = 0;
-    for (k = 0; k < kCount; ++k) {
+    for (std::size_t k = 0; k < kCount; ++k) {
       const float residual = contrast * sampled[k] - value_[k];
       b_x += gx_[k] * residual;
       b_y += gy_[k] * residual;

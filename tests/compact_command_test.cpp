@@ -59,12 +59,8 @@ bool HasFactor(const PoseGraph<Pose>& graph, const Factor<Pose>& factor) {
   return false;
 }
 
-// What all strategies owe: files that agree with each other and with the input.
 template <class Pose>
-void ExpectConsistent(const std::filesystem::path& folder, const PoseGraph<Pose>& input) {
-  const auto read = [&](const char* name) { return testing::Slurp(folder / name); };
-  const auto compact = std::get<PoseGraph<Pose>>(ReadGraph((folder / "compact.g2o").string()).graph);
-  const auto stats = nlohmann::json::parse(read("stats.json"));
+void ExpectStatsAgree(const nlohmann::json& stats, const PoseGraph<Pose>& compact, const PoseGraph<Pose>& input) {
   EXPECT_EQ(stats["poses"], input.Poses().size());
   EXPECT_EQ(stats["edges"], input.Factors().size());
   EXPECT_EQ(stats["poses_kept"], compact.Poses().size());
@@ -73,28 +69,32 @@ void ExpectConsistent(const std::filesystem::path& folder, const PoseGraph<Pose>
   EXPECT_NEAR(Chi2(compact), chi2, 1e-8 * chi2 + 1e-12);
   EXPECT_EQ(compact.Factors().size(), compact.Poses().size() - 1 + stats.at("links_kept").template get<std::size_t>())
       << "a link to the pose before, and the loops";
+}
 
-  const Trajectory trajectory = ReadTrajectory((folder / "trajectory.tum").string());
+template <class Pose>
+void ExpectTrajectoryAgrees(const Trajectory& trajectory, const PoseGraph<Pose>& compact,
+                            const PoseGraph<Pose>& input) {
   ASSERT_EQ(trajectory.stamps.size(), input.Poses().size());
   std::map<double, SE3> T_world_body;
   for (std::size_t k = 0; k < trajectory.stamps.size(); ++k) {
     T_world_body[trajectory.stamps[k]] = trajectory.T_world_body[k];
   }
   for (const auto& node : input.Poses()) EXPECT_EQ(T_world_body.count(static_cast<double>(node.id.value)), 1u);
-  std::vector<Pose> values;
   for (const auto& node : compact.Poses()) {
     EXPECT_TRUE(input.HasPose(node.id));
-    values.push_back(*node.T_world_body);
     SE3 lifted;
     if constexpr (Pose::kDim == 2) {
-      lifted = Lift(values.back());
+      lifted = Lift(*node.T_world_body);
     } else {
-      lifted = values.back();
+      lifted = *node.T_world_body;
     }
     EXPECT_LT(lifted.Local(T_world_body.at(static_cast<double>(node.id.value))).norm(), 1e-9) << node.id.value;
   }
+}
 
-  const auto decisions = CsvRows(read("decisions.csv"));
+template <class Pose>
+void ExpectDecisionsAgree(const std::vector<std::vector<std::string>>& decisions, const nlohmann::json& stats,
+                          const PoseGraph<Pose>& compact, const PoseGraph<Pose>& input) {
   ASSERT_EQ(decisions.size(), input.Poses().size());
   long kept = 0, links = 0, tried = 0, refused = 0;
   for (const auto& row : decisions) {
@@ -114,9 +114,13 @@ void ExpectConsistent(const std::filesystem::path& folder, const PoseGraph<Pose>
   EXPECT_EQ(stats["links_kept"], links);
   EXPECT_EQ(stats["registrations_tried"], tried);
   EXPECT_EQ(stats["links_refused"], refused);
+}
 
+template <class Pose>
+void ExpectCovariancesAgree(const std::vector<std::vector<std::string>>& rows, const PoseGraph<Pose>& compact) {
+  std::vector<Pose> values;
+  for (const auto& node : compact.Poses()) values.push_back(*node.T_world_body);
   const Marginals<Pose> marginals(compact, values);
-  const auto rows = CsvRows(read("covariances.csv"));
   ASSERT_EQ(rows.size(), values.size());
   for (const auto& row : rows) {
     ASSERT_EQ(row.size(), 1u + Pose::kDof * Pose::kDof);
@@ -127,6 +131,18 @@ void ExpectConsistent(const std::filesystem::path& folder, const PoseGraph<Pose>
     }
     EXPECT_LT((actual - expected).norm(), 1e-6 * expected.norm()) << row[0];
   }
+}
+
+// What all strategies owe: files that agree with each other and with the input.
+template <class Pose>
+void ExpectConsistent(const std::filesystem::path& folder, const PoseGraph<Pose>& input) {
+  const auto read = [&](const char* name) { return testing::Slurp(folder / name); };
+  const auto compact = std::get<PoseGraph<Pose>>(ReadGraph((folder / "compact.g2o").string()).graph);
+  const auto stats = nlohmann::json::parse(read("stats.json"));
+  ExpectStatsAgree(stats, compact, input);
+  ExpectTrajectoryAgrees(ReadTrajectory((folder / "trajectory.tum").string()), compact, input);
+  ExpectDecisionsAgree(CsvRows(read("decisions.csv")), stats, compact, input);
+  ExpectCovariancesAgree(CsvRows(read("covariances.csv")), compact);
 }
 
 TEST_F(CompactCommand, FilesAgreeWithEachOther) {

@@ -7,7 +7,7 @@
 #include "cholesky/rank_update.h"
 #include "cholesky/region.h"
 #include "support/version.h"
-#include "terse/core/state_members.h"
+#include "terse/core/graph_members.h"
 
 namespace terse {
 
@@ -131,7 +131,7 @@ int BlockCholesky<B>::BringIn(const typename BlockSystem<B>::Undo& undo, UpdateR
     }
   }
   const int failed = region.Refactor(update);
-  if (failed < 0) rank_update.SetDebt(0);
+  if (failed < 0) rank_update.ForgetDebt();
   return failed;
 }
 
@@ -202,21 +202,21 @@ const internal::FrontTree<B>& BlockCholesky<B>::Tree() const {
 }
 
 // Nobody has covariances of a version of before: the version is drawn anew, and the identity is that of a new object.
+// The shape of the tree comes first, because the fronts, which are most of it, are checked against it as they come.
 template <int B>
 template <class Archive>
 void BlockCholesky<B>::Serialize(Archive& archive) {
   auto& [system, parts, solution, last_solve, method, identity, version, next_version] = *this;
   auto& [tree, numbers, region, rank_update, substitution] = *parts;
-  int threads = numbers.Threads(), drift_looked_at = region.DriftLookedAt();
-  double debt = rank_update.Debt();
   archive(system);
   tree.SerializeShape(archive);
-  archive(solution, last_solve.flops, last_solve.deferred, method, threads, drift_looked_at, debt);
+  archive(solution, last_solve.flops, last_solve.deferred, method, numbers, region, rank_update);
   const size_t n = At(tree.Variables());
   if constexpr (Archive::kReads) {
     if (n > At(std::numeric_limits<int>::max() / B - 1)) archive.Fail("too many variables");
-    if (threads < 1) archive.Fail("a factor without a thread");
-    if (drift_looked_at < 0 || At(drift_looked_at) > n) archive.Fail("the factor was larger once");
+    for (const std::string& defect : {numbers.FindStateDefect(), region.FindStateDefect(tree.Variables())}) {
+      if (!defect.empty()) archive.Fail(defect);
+    }
     version = next_version = internal::NextVersion();
   }
   tree.SerializeFronts(archive, version);
@@ -226,14 +226,7 @@ void BlockCholesky<B>::Serialize(Archive& archive) {
     if (defect.empty()) defect = tree.FindSlotDefect(system);
     if (!defect.empty()) archive.Fail(defect);
     system.Rebuild(n);
-    numbers = {};
-    numbers.SetThreads(threads);
     numbers.Resize(static_cast<int>(n));
-    region = {};
-    region.SetDriftLookedAt(drift_looked_at);
-    rank_update = {};
-    rank_update.SetDebt(debt);
-    substitution = {};
   }
 }
 

@@ -7,7 +7,7 @@
 #include "cholesky/undo.h"
 #include "terse/core/front.h"
 #include "terse/core/parallel.h"
-#include "terse/core/state_members.h"
+#include "terse/core/graph_members.h"
 
 namespace terse {
 namespace {

@@ -7,6 +7,7 @@
 
 #include "terse/core/dense_kernels.h"
 #include "terse/core/parallel.h"
+#include "terse/core/state_file.h"
 
 namespace terse::internal {
 namespace {
@@ -244,7 +245,19 @@ void FrontFactorization<B>::WorkInCorrections(Front<B>& front) {
   front.corrections.clear();
 }
 
-template class FrontFactorization<3>;
-template class FrontFactorization<6>;
+template <int B>
+template <class Archive>
+void FrontFactorization<B>::Serialize(Archive& archive) {
+  auto& [row_of, thread_row_of, pool, threads] = *this;  // the rest is scratch
+  archive(threads);
+}
+
+#define TERSE_INSTANTIATE(B)                                    \
+  template class FrontFactorization<B>;                         \
+  template void FrontFactorization<B>::Serialize(StateWriter&); \
+  template void FrontFactorization<B>::Serialize(StateReader&);
+TERSE_INSTANTIATE(3)
+TERSE_INSTANTIATE(6)
+#undef TERSE_INSTANTIATE
 
 }  // namespace terse::internal

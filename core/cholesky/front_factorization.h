@@ -2,6 +2,7 @@
 // The numbers of fronts: assembly from the block system and from the children's update matrices, and partial
 // factorisation.
 
+#include <string>
 #include <vector>
 
 #include "terse/core/front_tree.h"
@@ -37,6 +38,11 @@ class FrontFactorization {
   BufferPool& Pool() { return pool_; }
   // Scratch, by variable: its first row in the front at hand.
   std::vector<int>& RowOf() { return row_of_; }
+
+  template <class Archive>
+  void Serialize(Archive& archive);
+  // What is wrong with what was stored, empty if nothing is.
+  std::string FindStateDefect() const { return threads_ < 1 ? "a factor without a thread" : ""; }
 
  private:
   struct Sources {

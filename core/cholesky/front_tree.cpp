@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "cholesky/undo.h"
-#include "terse/core/state_members.h"
+#include "terse/core/graph_members.h"
 
 namespace terse::internal {
 namespace {

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "terse/core/dense_kernels.h"
+#include "terse/core/state_file.h"
 
 namespace terse::internal {
 namespace {
@@ -342,10 +343,19 @@ int RankUpdate<B>::Update(const Path& path, UpdateContext<B>& update) {
   return -1;
 }
 
-#define TERSE_INSTANTIATE(B)                           \
-  template bool CanAppend<B>(const UpdateContext<B>&); \
-  template int Append<B>(UpdateContext<B>&);           \
-  template class RankUpdate<B>;
+template <int B>
+template <class Archive>
+void RankUpdate<B>::Serialize(Archive& archive) {
+  auto& [position, stamp_of, stamp, debt] = *this;  // the rest is scratch
+  archive(debt);
+}
+
+#define TERSE_INSTANTIATE(B)                            \
+  template bool CanAppend<B>(const UpdateContext<B>&);  \
+  template int Append<B>(UpdateContext<B>&);            \
+  template class RankUpdate<B>;                         \
+  template void RankUpdate<B>::Serialize(StateWriter&); \
+  template void RankUpdate<B>::Serialize(StateReader&);
 TERSE_INSTANTIATE(3)
 TERSE_INSTANTIATE(6)
 #undef TERSE_INSTANTIATE

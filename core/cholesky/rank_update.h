@@ -36,8 +36,11 @@ class RankUpdate {
   // Returns the variable at which the matrix turns out not to be positive definite, or -1. Until then nothing changes.
   int Update(const Path& path, UpdateContext<B>& update);
 
-  double Debt() const { return debt_; }
-  void SetDebt(double flops) { debt_ = flops; }
+  // Something was ordered again: nothing is held against the next update.
+  void ForgetDebt() { debt_ = 0; }
+
+  template <class Archive>
+  void Serialize(Archive& archive);
 
  private:
   using Below = std::vector<const Front<B>*>;  // changed children

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "support/stopwatch.h"
+#include "terse/core/state_file.h"
 
 namespace terse::internal {
 namespace {
@@ -194,7 +195,25 @@ int Region<B>::Refactor(UpdateContext<B>& update) {
   return -1;
 }
 
-template class Region<3>;
-template class Region<6>;
+// Between updates nothing is taken.
+template <int B>
+template <class Archive>
+void Region<B>::Serialize(Archive& archive) {
+  auto& [fronts, variables, is_taken, local, drift_looked_at] = *this;
+  archive(drift_looked_at);
+}
+
+template <int B>
+std::string Region<B>::FindStateDefect(int variables) const {
+  return drift_looked_at_ < 0 || drift_looked_at_ > variables ? "the factor was larger once" : "";
+}
+
+#define TERSE_INSTANTIATE(B)                        \
+  template class Region<B>;                         \
+  template void Region<B>::Serialize(StateWriter&); \
+  template void Region<B>::Serialize(StateReader&);
+TERSE_INSTANTIATE(3)
+TERSE_INSTANTIATE(6)
+#undef TERSE_INSTANTIATE
 
 }  // namespace terse::internal

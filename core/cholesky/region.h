@@ -21,8 +21,10 @@ class Region {
   // Nothing is taken any more.
   void Clear() noexcept;
 
-  int DriftLookedAt() const { return drift_looked_at_; }
-  void SetDriftLookedAt(int variables) { drift_looked_at_ = variables; }
+  template <class Archive>
+  void Serialize(Archive& archive);
+  // What is wrong with what was stored for a tree of so many variables, empty if nothing is.
+  std::string FindStateDefect(int variables) const;
 
  private:
   // What hangs together: a linear factor's variables, or the separator of a subtree that stays.

@@ -1,6 +1,6 @@
 // What of a pose graph is stored.
 
-#include "terse/core/state_members.h"
+#include "terse/core/graph_members.h"
 
 namespace terse {
 

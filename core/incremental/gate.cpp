@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "terse/core/at.h"
-#include "terse/core/state_members.h"
+#include "terse/core/state_file.h"
 
 namespace terse::internal {
 namespace {

@@ -8,27 +8,14 @@
 #include "incremental/update_plan.h"
 #include "support/stopwatch.h"
 #include "terse/core/front_paths.h"
+#include "terse/core/graph_members.h"
 #include "terse/core/residual.h"
-#include "terse/core/state_members.h"
 
 namespace terse::internal {
 namespace {
 
 using std::size_t;
 constexpr size_t At(FactorId id) { return static_cast<size_t>(id.value); }
-
-// |A d + r|^2 at the present d; 0 for variables beyond it.
-template <int B>
-double LinearCost(const LinearFactor<B>& f, const std::vector<double>& d) {
-  Vector<B> e = f.residual;
-  const auto add = [&](int v, const Matrix<B, B>& A) {
-    if (v >= 0 && (static_cast<size_t>(v) + 1) * B <= d.size())
-      e += A * Eigen::Map<const Vector<B>>(d.data() + static_cast<size_t>(v) * B);
-  };
-  add(f.first, f.A_first);
-  add(f.second, f.A_second);
-  return e.squaredNorm();
-}
 
 }  // namespace
 
@@ -90,11 +77,7 @@ typename LinearizedGraph<Pose>::Replacements LinearizedGraph<Pose>::LinearizeAro
 
 template <class Pose>
 Vector<Pose::kDof> LinearizedGraph<Pose>::LinearResidual(int slot) const {
-  const LinearFactor<B>& f = cholesky_.LinearFactorAt(slot);
-  Vector<B> r = f.residual;
-  r += f.A_first * OffsetOf(f.first);
-  if (f.second >= 0) r += f.A_second * OffsetOf(f.second);
-  return r;
+  return internal::LinearResidual(cholesky_.LinearFactorAt(slot), [&](int v) { return OffsetOf(v).data(); });
 }
 
 template <class Pose>
@@ -105,7 +88,8 @@ double LinearizedGraph<Pose>::DegreesOfFreedom() const {
 template <class Pose>
 void LinearizedGraph<Pose>::ChangeCosts(const LinearFactor<B>& factor, int sign) {
   cost_at_points_ += sign * factor.residual.squaredNorm();
-  cost_at_offsets_ += sign * LinearCost(factor, cholesky_.Solution());
+  const auto offset = [&](int v) { return OffsetOf(v).data(); };
+  cost_at_offsets_ += sign * internal::LinearResidual(factor, offset).squaredNorm();
 }
 
 template <class Pose>
@@ -267,8 +251,7 @@ void LinearizedGraph<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
       const int other = f.first == v ? f.second : f.first;
       if (other > v) continue;
       const Matrix<B, B>& A = f.first == v ? f.A_first : f.A_second;
-      Vector<B> r = f.residual;
-      if (other >= 0) r += (f.first == v ? f.A_second : f.A_first) * OffsetOf(other);
+      const Vector<B> r = internal::LinearResidual(f, [&](int u) { return u == v ? nullptr : OffsetOf(u).data(); });
       H += A.transpose() * A;
       b -= A.transpose() * r;
     }
@@ -276,9 +259,9 @@ void LinearizedGraph<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
     if (llt.info() != Eigen::Success) continue;  // held by a later pose only: stays where it was composed
     const Vector<B> d = llt.solve(b);
     const auto& slots = cholesky_.SlotsOf(v);
-    for (const int slot : slots) cost_at_offsets_ -= LinearCost(cholesky_.LinearFactorAt(slot), cholesky_.Solution());
+    for (const int slot : slots) cost_at_offsets_ -= LinearResidual(slot).squaredNorm();
     cholesky_.SetSolution(v, d);
-    for (const int slot : slots) cost_at_offsets_ += LinearCost(cholesky_.LinearFactorAt(slot), cholesky_.Solution());
+    for (const int slot : slots) cost_at_offsets_ += LinearResidual(slot).squaredNorm();
     ++report.variables_moved;
   }
   report.predicted_decrease -= RemainingDecrease();

@@ -30,6 +30,19 @@ namespace terse::internal {
 template <class Pose>
 struct UpdatePlan;
 
+// A d + r of a linear factor. offset(variable) points to the variable's d, or is null where that is zero.
+template <int B, class OffsetOf>
+Vector<B> LinearResidual(const LinearFactor<B>& factor, const OffsetOf& offset) {
+  Vector<B> r = factor.residual;
+  const auto add = [&](int variable, const Matrix<B, B>& A) {
+    if (variable < 0) return;
+    if (const double* d = offset(variable)) r += A * Eigen::Map<const Vector<B>>(d);
+  };
+  add(factor.first, factor.A_first);
+  add(factor.second, factor.A_second);
+  return r;
+}
+
 // How the map as a whole lies.
 template <class Pose>
 struct MapFrame {

@@ -7,9 +7,10 @@
 
 #include "incremental/loop_contest.h"
 #include "terse/core/front_paths.h"
+#include "terse/core/graph_members.h"
 #include "terse/core/log_message.h"
+#include "terse/core/option_members.h"
 #include "terse/core/residual.h"
-#include "terse/core/state_members.h"
 
 namespace terse::internal {
 namespace {

@@ -8,7 +8,7 @@
 #include "terse/core/initial_values.h"
 #include "terse/core/log_message.h"
 #include "terse/core/residual.h"
-#include "terse/core/state_members.h"
+#include "terse/core/state_file.h"
 
 namespace terse::internal {
 namespace {

@@ -6,9 +6,9 @@
 
 #include "support/stopwatch.h"
 #include "terse/core/front_paths.h"
+#include "terse/core/graph_members.h"
 #include "terse/core/log_message.h"
 #include "terse/core/residual.h"
-#include "terse/core/state_members.h"
 
 namespace terse::internal {
 namespace {
@@ -238,12 +238,8 @@ double Relinearization<Pose>::ErrorAfter(int slot, const std::map<int, Pose>& po
     return it != points.end() ? it->second : map.Points()[static_cast<size_t>(v)];
   };
   const LinearFactor<B> f = map.LinearizeSlot(slot, point);
-  Vector<B> linear = f.residual;
-  const auto add = [&](int v, const Matrix<B, B>& A) {
-    if (v >= 0 && points.count(v) == 0) linear += A * map.OffsetOf(v);
-  };
-  add(f.first, f.A_first);
-  add(f.second, f.A_second);
+  const auto offset = [&](int v) { return points.count(v) == 0 ? map.OffsetOf(v).data() : nullptr; };
+  const Vector<B> linear = LinearResidual(f, offset);
   return (WhitenedResidualAt(slot, map) - linear).squaredNorm();
 }
 

@@ -173,6 +173,38 @@ class Laps {
 
 class Soak : public testing::CommandTest {};
 
+// A hundred poses, with everything else between them.
+void SendPoses(Online& online, Laps& laps) {
+  for (int k = 0; k < 100; ++k) {
+    online.Send(laps.Next());
+    const long pose = laps.Newest();
+    if (k % 10 == 3) online.Send("# a comment\n\n");
+    if (k % 10 == 5) online.Send("EDGE_SE2 " + std::to_string(pose) + " 0 nan 0 0 1 0 0 1 0 1\nNONSENSE 1 2 3\n");
+    if (k % 20 == 7) {
+      online.Send("FLUSH\nCOVARIANCE 0 " + std::to_string(pose) + "\n");
+      online.Expect();
+    }
+    if (k % 50 == 9) {
+      const long factor = online.TakeFactor();
+      if (factor >= 0) online.Send("REMOVE " + std::to_string(factor) + "\n");
+    }
+  }
+}
+
+// Returns how many lines there were; none of them keeps anything.
+long SendWhatKeepsNothing(Online& online) {
+  long lines = 0;
+  for (int k = 0; k < 50; ++k) {
+    online.Send(
+        "# nothing\nEDGE_SE2 0 1 1\nREMOVE 99999999\nREMOVE x\nCOVARIANCE 99999999\nVERTEX_SE2 1 2\nFIX "
+        "a\n\nCOVARIANCE " +
+        std::to_string(k) + " " + std::to_string(k + 1) + "\n");
+    online.Expect();
+    lines += 9;
+  }
+  return lines;
+}
+
 TEST_F(Soak, MemoryAndDescriptorsStayFlat) {
   const double seconds = SoakSeconds();
   Online online({"--range", "3", "3", "1", "--min-pose-gain", "6", "--min-loop-gain", "5", "--journal", "journal"},
@@ -191,23 +223,10 @@ TEST_F(Soak, MemoryAndDescriptorsStayFlat) {
     samples.push_back({online.Megabytes(), laps.Newest(), online.Kept()});
     descriptors.insert(online.Descriptors());
   };
-  // Poses, with everything else between them; at most 400 a second, so that an hour fits into memory.
+  // At most 400 poses a second, so that an hour fits into memory.
   const double half = seconds / 2;
   while (elapsed() < half) {
-    for (int k = 0; k < 100; ++k) {
-      online.Send(laps.Next());
-      const long pose = laps.Newest();
-      if (k % 10 == 3) online.Send("# a comment\n\n");
-      if (k % 10 == 5) online.Send("EDGE_SE2 " + std::to_string(pose) + " 0 nan 0 0 1 0 0 1 0 1\nNONSENSE 1 2 3\n");
-      if (k % 20 == 7) {
-        online.Send("FLUSH\nCOVARIANCE 0 " + std::to_string(pose) + "\n");
-        online.Expect();
-      }
-      if (k % 50 == 9) {
-        const long factor = online.TakeFactor();
-        if (factor >= 0) online.Send("REMOVE " + std::to_string(factor) + "\n");
-      }
-    }
+    SendPoses(online, laps);
     sample();
     const double ahead = static_cast<double>(laps.Newest()) / 400 - elapsed();
     if (ahead > 0) std::this_thread::sleep_for(std::chrono::duration<double>(ahead));
@@ -230,14 +249,7 @@ TEST_F(Soak, MemoryAndDescriptorsStayFlat) {
   const long errors = online.Errors();
   long lines = 0;
   while (elapsed() < seconds) {
-    for (int k = 0; k < 50; ++k) {
-      online.Send(
-          "# nothing\nEDGE_SE2 0 1 1\nREMOVE 99999999\nREMOVE x\nCOVARIANCE 99999999\nVERTEX_SE2 1 2\nFIX "
-          "a\n\nCOVARIANCE " +
-          std::to_string(k) + " " + std::to_string(k + 1) + "\n");
-      online.Expect();
-      lines += 9;
-    }
+    lines += SendWhatKeepsNothing(online);
     sample();
   }
   std::cout << lines << " lines that keep nothing: " << before << " to " << samples.back().megabytes << " MB; "

@@ -97,6 +97,23 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
   return result;
 }
 
+// Brings poses and weights, which are in order of arrival (`arrived`), into the order that the graph has them in.
+template <class Pose>
+void OrderAsIn(const PoseGraph<Pose>& graph, ArrivalUnit every, const PoseGraph<Pose>& arrived,
+               BatchResult<Pose>& result) {
+  std::vector<Pose> values;
+  for (const auto& node : graph.Poses()) {
+    values.push_back(result.T_world_body[static_cast<std::size_t>(arrived.IndexOf(node.id))]);
+  }
+  result.T_world_body = std::move(values);
+  if (result.weights.empty()) return;
+  const std::vector<double> weights = std::exchange(result.weights, std::vector<double>(graph.Factors().size(), 1.0));
+  auto weight = weights.begin();
+  for (const ArrivalStep& step : ArrivalSteps(graph, every)) {
+    for (const int f : step.factors) result.weights[static_cast<std::size_t>(f)] = *weight++;
+  }
+}
+
 // The graph as it would have come in online; then iterated to its optimum.
 template <class Pose>
 BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
@@ -141,20 +158,7 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
   finish.threads = options.threads;
   BatchResult<Pose> result = solver.Finish(finish);
   stats.more["restarts"] = solver.Restarts();
-  // From the solver's order of poses to the graph's.
-  std::vector<Pose> values;
-  for (const auto& node : graph.Poses()) {
-    values.push_back(result.T_world_body[static_cast<std::size_t>(solver.Graph().IndexOf(node.id))]);
-  }
-  result.T_world_body = std::move(values);
-  if (!result.weights.empty()) {
-    // From the order of arrival to the file's.
-    const std::vector<double> arrived = std::exchange(result.weights, std::vector<double>(graph.Factors().size(), 1.0));
-    auto weight = arrived.begin();
-    for (const ArrivalStep& step : ArrivalSteps(graph, options.every)) {
-      for (const int f : step.factors) result.weights[static_cast<std::size_t>(f)] = *weight++;
-    }
-  }
+  OrderAsIn(graph, options.every, solver.Graph(), result);
   for (const auto phase :
        {&PhaseSeconds::order, &PhaseSeconds::linearise, &PhaseSeconds::factor, &PhaseSeconds::solve}) {
     result.seconds.*phase += solver.Seconds().*phase;
