@@ -6,8 +6,8 @@
 
 #include "cholesky/undo.h"
 #include "terse/core/front.h"
-#include "terse/core/parallel.h"
 #include "terse/core/graph_members.h"
+#include "terse/core/parallel.h"
 
 namespace terse {
 namespace {

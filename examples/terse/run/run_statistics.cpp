@@ -10,6 +10,7 @@
 
 #include "terse/core/linear_factor.h"
 #include "terse/core/number_text.h"
+#include "terse/core/replay.h"
 #include "terse/core/words.h"
 
 namespace terse {

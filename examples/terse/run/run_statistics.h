@@ -7,10 +7,11 @@
 
 #include "terse/core/batch_solver.h"
 #include "terse/core/pose_graph.h"
-#include "terse/core/replay.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
+
+struct ReplayStep;
 
 struct EdgeCounts {
   long edges = 0;
