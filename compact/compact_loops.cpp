@@ -16,7 +16,8 @@ namespace {
 using internal::At;
 using std::size_t;
 
-// The record of a decision stays small however many poses were in range: what was tried, and the best of the others.
+}  // namespace
+
 template <class Pose>
 void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>& options, Decision& decision) {
   decision.candidates_found = static_cast<int>(settled.size());
@@ -32,8 +33,6 @@ void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>
   decision.candidates = std::move(settled);
 }
 
-}  // namespace
-
 // A loop at the kept pose that its other end hangs on. False if it overflows on its way there.
 template <class Pose>
 bool CompactPoseSlam<Pose>::TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop,
@@ -44,14 +43,30 @@ bool CompactPoseSlam<Pose>::TakeOffer(const Current& current, const RelativePose
   if (!FindDefect<Pose>(offer.link).empty()) return false;
   offer.kept = KeptBase(other);
   offer.carried_from = offer.kept != other ? std::optional<PoseId>(other) : std::nullopt;
+  if (offer.carried_from && IsSpent(other)) return false;
   offer.T_kept_current = SeenFrom(offer.kept, offer.link);
   offer.carried = offer.T_kept_current.covariance - SeenFrom(other, loop).covariance;
   offer.T_dropped_current.reset();
   if (offer.carried_from && !current.in_solver && offer.kept == current.base && !Find(other).next_kept &&
-      IsPlainChain(other, current.previous, 0)) {
+      IsPlainChain(other, current.parent, 0)) {
     offer.T_dropped_current = Behind(Find(other).T_base_pose, current.T_base_current);
   }
   return true;
+}
+
+// Whether the chain that a dropped pose hangs on has served to carry a loop already: in a bounded map, where robots
+// pass again and again, no measurement counts twice.
+template <class Pose>
+bool CompactPoseSlam<Pose>::IsSpent(PoseId dropped) const {
+  const int stretch = Find(dropped).stretch;
+  return options_.strategy == Strategy::kBounded && stretch >= 0 && history_[At(stretch)].carried;
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::Spend(const Offer& offer) {
+  if (!offer.carried_from) return;
+  const int stretch = Find(*offer.carried_from).stretch;
+  if (stretch >= 0) history_[At(stretch)].carried = true;
 }
 
 template <class Pose>
@@ -88,12 +103,12 @@ void CompactPoseSlam<Pose>::LogLink(PoseId a, PoseId b, const Candidate& record,
                 most_innovation_, record.supported ? ", but other refused links agree)" : ")");
 }
 
-// Whether a registered link of the measured gain is to be added: between record.id and the pose at hand, or two poses
-// seen before (`current` absent). An outlier may be supported by other links of the pose at hand; if it is not, it may
-// support a later one.
+// Whether a registered link agrees with the map: between record.id and the pose at hand, or two poses seen before
+// (`current` absent). An outlier may be supported by other links of the pose at hand; if it is not, it may support a
+// later one.
 template <class Pose>
-bool CompactPoseSlam<Pose>::PassesTests(const Current* current, const UncertainPose<Pose>& known,
-                                        const UncertainPose<Pose>& measured, Candidate& record) {
+bool CompactPoseSlam<Pose>::IsBelieved(const Current* current, const UncertainPose<Pose>& known,
+                                       const UncertainPose<Pose>& measured, Candidate& record) {
   if (options_.innovation_quantile) {
     record.innovation = InnovationDistance(known, measured);
     record.outlier = !(*record.innovation <= most_innovation_);
@@ -102,7 +117,14 @@ bool CompactPoseSlam<Pose>::PassesTests(const Current* current, const UncertainP
     record.supported = IsSupported(*current, record.id, measured);
     if (!record.supported) RememberRefused(*current, record.id, measured);
   }
-  return !IsRefused(record) && *record.measured_gain > options_.thresholds.min_loop_gain;
+  return !IsRefused(record);
+}
+
+// And whether its measured gain is enough for it to be added.
+template <class Pose>
+bool CompactPoseSlam<Pose>::PassesTests(const Current* current, const UncertainPose<Pose>& known,
+                                        const UncertainPose<Pose>& measured, Candidate& record) {
+  return IsBelieved(current, known, measured, record) && *record.measured_gain > options_.thresholds.min_loop_gain;
 }
 
 // Tests a registered link and adds it if it passes. Whether it did.
@@ -133,6 +155,7 @@ bool CompactPoseSlam<Pose>::Accept(Current& current, Evaluated& candidate, const
     decision.revived.push_back(revival->pose);
   } else {
     record.factor = Keep(current, {link}).back();
+    if (offer != nullptr) Spend(*offer);
   }
   record.accepted = true;
   ++decision.links_accepted;
@@ -155,7 +178,7 @@ bool CompactPoseSlam<Pose>::AcceptOnChain(Current& current, const Offer& offer, 
   const Current before = current;
   current.base = dropped;
   current.T_base_current = current.chain = *offer.T_dropped_current;
-  current.concatenated = history_[At(current.previous)].id != dropped;
+  current.concatenated = history_[At(current.parent)].id != dropped;
   try {
     record.factor = Keep(current, {offer.measured}, &revival).back();
   } catch (...) {
@@ -316,6 +339,11 @@ bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>& failed, Pose
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template void RecordCandidates<Pose>(std::vector<Candidate>, const CompactOptions<Pose>&, Decision&);               \
+  template bool CompactPoseSlam<Pose>::IsSpent(PoseId) const;                                                         \
+  template void CompactPoseSlam<Pose>::Spend(const Offer&);                                                           \
+  template bool CompactPoseSlam<Pose>::IsBelieved(const Current*, const UncertainPose<Pose>&,                         \
+                                                  const UncertainPose<Pose>&, Candidate&);                            \
   template void CompactPoseSlam<Pose>::TakeOffers(Current&) const;                                                    \
   template bool CompactPoseSlam<Pose>::TakeOffer(const Current&, const RelativePoseFactor<Pose>&, Offer&) const;      \
   template bool CompactPoseSlam<Pose>::AcceptOnChain(Current&, const Offer&, Candidate&, Decision&);                  \

@@ -2,12 +2,14 @@
 
 #include "terse/compact/compact_map.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <set>
 #include <stdexcept>
 #include <unordered_map>
 
 #include "compact_pose_slam_parts.h"
+#include "fused_edges.h"
 #include "terse/core/at.h"
 #include "terse/core/error.h"
 #include "terse/core/require_optimum.h"
@@ -50,6 +52,7 @@ class Inspection {
       ExpectKept(edge.measured.to, "to");
       if (at_.count(edge.added_at.value) == 0) Fail("added_at", Text(edge.added_at) + " is none of the poses");
       CheckMeasured(Factor<Pose>(edge.measured));
+      CheckParts(edge.parts, "edges[" + std::to_string(k) + "].");
     }
     for (size_t k = 0; k < map_.priors.size() && defect_.empty(); ++k) {
       where_ = "priors[" + std::to_string(k) + "].";
@@ -107,7 +110,12 @@ class Inspection {
       Fail("previous", Text(*pose.previous) + " is none of the poses before");
       return;
     }
-    const PoseId base = pose.kept || previous == nullptr ? pose.id : previous->base;
+    const SeenPose* parent = pose.anchored_to ? Earlier(*pose.anchored_to) : previous;
+    if (pose.anchored_to && parent == nullptr) {
+      Fail("anchored_to", Text(*pose.anchored_to) + " is none of the poses before");
+      return;
+    }
+    const PoseId base = pose.kept || parent == nullptr ? pose.id : parent->base;
     if (pose.base != base) Fail("base", Text(pose.base) + ", expected " + Text(base));
     if (!pose.kept) CheckChain(pose.T_base_pose, "T_base_pose", "covariance");
   }
@@ -115,11 +123,25 @@ class Inspection {
     if (pose.kept || !pose.next_kept) return;
     ExpectKept(*pose.next_kept, "next_kept");
     CheckChain(pose.T_base_next, "T_base_next", "covariance_next");
+    if (!pose.ended_by) return;
+    const SeenPose* end = Earlier(*pose.ended_by);
+    if (end == nullptr || !end->anchored_to) {
+      Fail("ended_by", Text(*pose.ended_by) + (end == nullptr ? " is none of the poses" : " was not anchored"));
+    }
   }
   void ExpectKept(PoseId id, const char* key) {
     const SeenPose* pose = Earlier(id);
     if (pose == nullptr || !pose->kept) {
       Fail(key, Text(id) + (pose == nullptr ? " is none of the poses" : " was dropped, expected a kept one"));
+    }
+  }
+  void CheckParts(const std::vector<typename CompactMap<Pose>::Part>& parts, const std::string& edge) {
+    for (size_t k = 0; k < parts.size() && defect_.empty(); ++k) {
+      where_ = edge + "parts[" + std::to_string(k) + "].";
+      if (at_.count(parts[k].added_at.value) == 0) Fail("added_at", Text(parts[k].added_at) + " is none of the poses");
+      CheckChain(parts[k].T_from_to, "T_from_to", "covariance");
+      const bool is_definite = parts[k].T_from_to.covariance.llt().info() == Eigen::Success;
+      if (!is_definite) Fail("covariance", "not positive definite");
     }
   }
   void CheckFactor(FactorId id) {
@@ -149,10 +171,10 @@ std::string FindDefect(const CompactMap<Pose>& map) {
 template <class Pose>
 std::vector<PoseId> CompactPoseSlam<Pose>::ComposedOf(const RelativePoseFactor<Pose>& edge) const {
   const int newer = std::max(index_.at(edge.from.value), index_.at(edge.to.value));
-  int k = history_[At(newer)].previous;
+  int k = history_[At(newer)].parent;
   if (k < 0 || history_[At(k)].kept) return {};
   std::vector<PoseId> chain = {history_[At(newer)].id};
-  for (; k >= 0; k = history_[At(k)].previous) {
+  for (; k >= 0; k = history_[At(k)].parent) {
     chain.push_back(history_[At(k)].id);
     if (history_[At(k)].kept) break;
   }
@@ -166,11 +188,19 @@ CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery recovery) const {
   const std::vector<RecoveredPose<Pose>> trajectory = Trajectory(recovery);
   for (size_t k = 0; k < history_.size(); ++k) {
     const Seen& seen = history_[k];
-    typename CompactMap<Pose>::SeenPose pose{
-        seen.id,         seen.kept, trajectory[k].T_world_body, seen.T_world_body_when_seen,
-        std::nullopt,    seen.base, seen.T_base_pose,           seen.next_kept,
-        seen.T_base_next};
+    typename CompactMap<Pose>::SeenPose pose;
+    pose.id = seen.id;
+    pose.kept = seen.kept;
+    pose.T_world_body = trajectory[k].T_world_body;
+    pose.T_world_body_when_seen = seen.T_world_body_when_seen;
     if (seen.previous >= 0) pose.previous = history_[At(seen.previous)].id;
+    pose.base = seen.base;
+    pose.T_base_pose = seen.T_base_pose;
+    pose.next_kept = seen.next_kept;
+    pose.T_base_next = seen.T_base_next;
+    if (seen.anchored) pose.anchored_to = history_[At(seen.parent)].id;
+    if (seen.ended_by >= 0) pose.ended_by = history_[At(seen.ended_by)].id;
+    pose.carried = seen.stretch >= 0 && history_[At(seen.stretch)].carried;
     map.poses.push_back(std::move(pose));
   }
   auto link = links_.begin();
@@ -192,6 +222,8 @@ CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery recovery) const {
       edge.added_at = index_.at(measured->from.value) > index_.at(measured->to.value) ? measured->from : measured->to;
       edge.composed_of = ComposedOf(*measured);
     }
+    const auto* fused = fused_->Find(FusedEdges<Pose>::Ordered(measured->from, measured->to));
+    if (fused != nullptr && fused->factor == node.id) edge.parts = fused->parts;
     map.edges.push_back(std::move(edge));
   }
   for (const auto& node : solver_->Graph().Poses()) {
@@ -238,6 +270,7 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   for (size_t k = 0; k < order.size(); ++k) {
     const auto* edge = order[k].second;
     if (edge == nullptr) continue;
+    slam.RestoreEdge(*edge, report.factor_ids[k]);
     if (!edge->is_loop) {
       const int ends[] = {slam.index_.at(edge->measured.from.value), slam.index_.at(edge->measured.to.value)};
       slam.history_[At(std::max(ends[0], ends[1]))].odometry = report.factor_ids[k];
@@ -256,6 +289,22 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   return slam;
 }
 
+// What the factor of an edge is made of. A part that was a factor itself has the id of the edge from now on: no other
+// has it.
+template <class Pose>
+void CompactPoseSlam<Pose>::RestoreEdge(const typename CompactMap<Pose>::Edge& edge, FactorId factor) {
+  RememberEdge(edge.measured, factor, !edge.is_loop);
+  const auto ends = FusedEdges<Pose>::Ordered(edge.measured.from, edge.measured.to);
+  const auto* known = fused_->Find(ends);
+  if (known == nullptr || known->factor != factor || edge.parts.empty()) return;
+  auto parts = edge.parts;
+  for (auto& part : parts) {
+    if (part.id.value >= 0) part.id = factor;
+    fused_->Reserve(part.id);
+  }
+  fused_->Set(ends, {factor, !edge.is_loop, std::move(parts)});
+}
+
 template <class Pose>
 void CompactPoseSlam<Pose>::TakeHistory(const CompactMap<Pose>& map) {
   for (const auto& pose : map.poses) {
@@ -264,15 +313,23 @@ void CompactPoseSlam<Pose>::TakeHistory(const CompactMap<Pose>& map) {
     seen.kept = pose.kept;
     seen.base = pose.base;
     seen.T_world_body_when_seen = pose.T_world_body_when_seen;
-    if (pose.previous) seen.previous = index_.at(pose.previous->value);
+    if (pose.previous) seen.previous = seen.parent = index_.at(pose.previous->value);
+    seen.anchored = pose.anchored_to.has_value();
+    if (seen.anchored) seen.parent = index_.at(pose.anchored_to->value);
+    const int at = static_cast<int>(history_.size());
+    if (!seen.kept) seen.stretch = StretchBehind(seen.parent, seen.anchored, at);
+    seen.carried = pose.carried && seen.stretch == at;
     if (!pose.kept) {
       seen.T_base_pose = pose.T_base_pose;
       seen.next_kept = pose.next_kept;
       if (pose.next_kept) seen.T_base_next = pose.T_base_next;
     }
-    if (seen.previous >= 0) ++history_[At(seen.previous)].successors;
-    index_[seen.id.value] = static_cast<int>(history_.size());
+    if (seen.parent >= 0) ++history_[At(seen.parent)].successors;
+    index_[seen.id.value] = at;
     history_.push_back(std::move(seen));
+  }
+  for (const auto& pose : map.poses) {
+    if (pose.ended_by) history_[At(index_.at(pose.id.value))].ended_by = index_.at(pose.ended_by->value);
   }
   for (const auto& refused : map.refused) {
     refused_.push_back({refused.candidate, refused.seen, refused.T_candidate_seen});
@@ -285,6 +342,7 @@ void CompactPoseSlam<Pose>::TakeHistory(const CompactMap<Pose>& map) {
   template std::vector<PoseId> CompactPoseSlam<Pose>::ComposedOf(const RelativePoseFactor<Pose>&) const;               \
   template CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery) const;                                             \
   template CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>&, const CompactOptions<Pose>&); \
+  template void CompactPoseSlam<Pose>::RestoreEdge(const typename CompactMap<Pose>::Edge&, FactorId);                  \
   template void CompactPoseSlam<Pose>::TakeHistory(const CompactMap<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "compact_pose_slam_parts.h"
+#include "fused_edges.h"
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
 #include "terse/core/at.h"
@@ -86,6 +87,7 @@ template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
     : solver_(std::make_unique<IncrementalSolver<Pose>>(SolverOptions(options))),
       marginals_(std::make_unique<IncrementalMarginals<Pose>>(*solver_)),
+      fused_(std::make_unique<FusedEdges<Pose>>()),
       reach_(std::make_unique<PoseIndex<Pose>>()) {
   TakeOptions(options);
 }
@@ -97,7 +99,8 @@ void CompactPoseSlam<Pose>::TakeOptions(const CompactOptions<Pose>& options) {
   most_distance_ = ChiSquareQuantile(options.plausible_quantile, Displacement<Pose>::kSize);
   most_innovation_ = options.innovation_quantile ? ChiSquareQuantile(*options.innovation_quantile, Pose::kDof)
                                                  : std::numeric_limits<double>::infinity();
-  searches_ = options.strategy == Strategy::kApfl || options.strategy == Strategy::kFpfl;
+  searches_ = options.strategy == Strategy::kApfl || options.strategy == Strategy::kFpfl ||
+              options.strategy == Strategy::kBounded;
 }
 
 template <class Pose>
@@ -161,7 +164,7 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
   }
   const RelativePoseFactor<Pose>& edge = *input.odometry;
   const Seen& previous = Find(edge.from == input.id ? edge.to : edge.from);
-  current.previous = index_.at(previous.id.value);
+  current.previous = current.parent = index_.at(previous.id.value);
   const UncertainPose<Pose> odometry = SeenFrom(previous.id, edge);
   current.base = previous.base;
   current.concatenated = !previous.kept;
@@ -208,7 +211,9 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
     decision.verdict = PoseVerdict::kPrior;
   } else if (options_.strategy == Strategy::kGiven) {
     decision.verdict = current.input->keep ? PoseVerdict::kGiven : PoseVerdict::kRedundant;
-  } else if (options_.strategy != Strategy::kFpfl) {
+  } else if (current.is_anchored) {
+    decision.verdict = PoseVerdict::kAnchored;
+  } else if (options_.strategy != Strategy::kFpfl && options_.strategy != Strategy::kBounded) {
     decision.verdict = PoseVerdict::kAllKept;
   } else if (!decision.pose_gain) {
     decision.verdict = PoseVerdict::kNothingInRange;
@@ -243,9 +248,15 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
   Accumulate(report, current.update);
   UpdateCovariances();
   if (revival != nullptr) Revive(*revival, report.factor_ids);
-  if (!current.in_solver && input.odometry) current.odometry = report.factor_ids[revived];
+  if (!current.in_solver && input.odometry) {
+    current.odometry = report.factor_ids[revived];
+    RememberEdge(update.factors[revived], current.odometry, true);
+  }
   std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
-  for (const FactorId id : ids) links_.push_back({id, input.id, std::nullopt});
+  for (size_t k = 0; k < ids.size(); ++k) {
+    links_.push_back({ids[k], input.id, std::nullopt});
+    RememberEdge(links[k], ids[k], false);
+  }
   current.in_solver = true;
   current.concatenated = false;
   current.T_world_body = solver_->Estimate(input.id);
@@ -254,11 +265,30 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
   return ids;
 }
 
+// Of the poses of a chain up to `last`, in history_: they hang between their base and `next` from now on.
+template <class Pose>
+void CompactPoseSlam<Pose>::EndChain(int last, PoseId next, const UncertainPose<Pose>& T_base_next, int ended_by) {
+  for (int k = last; k >= 0 && !history_[At(k)].kept; k = history_[At(k)].parent) {
+    Seen& dropped = history_[At(k)];
+    if (dropped.next_kept) break;
+    dropped.next_kept = next;
+    dropped.T_base_next = T_base_next;
+    dropped.ended_by = ended_by;
+  }
+}
+
+// Which stretch a dropped pose at this place belongs to.
+template <class Pose>
+int CompactPoseSlam<Pose>::StretchBehind(int parent, bool anchored, int at) const {
+  return anchored || history_[At(parent)].kept ? at : history_[At(parent)].stretch;
+}
+
 template <class Pose>
 void CompactPoseSlam<Pose>::Remember(const Current& current) {
   Seen seen;
   seen.id = seen.base = current.input->id;
   seen.previous = current.previous;
+  seen.parent = current.parent;
   seen.kept = current.in_solver;
   seen.odometry = current.odometry;
   seen.T_world_body_when_seen = current.T_world_body;
@@ -266,14 +296,13 @@ void CompactPoseSlam<Pose>::Remember(const Current& current) {
     seen.base = current.base;
     seen.T_base_pose = current.T_base_current;
   }
-  for (int k = seen.kept ? current.previous : -1; k >= 0 && !history_[At(k)].kept; k = history_[At(k)].previous) {
-    Seen& dropped = history_[At(k)];
-    if (dropped.next_kept) break;
-    dropped.next_kept = seen.id;
-    dropped.T_base_next = current.chain;
-  }
-  if (seen.previous >= 0) ++history_[At(seen.previous)].successors;
-  index_[seen.id.value] = static_cast<int>(history_.size());
+  const int at = static_cast<int>(history_.size());
+  seen.anchored = current.is_anchored;
+  if (seen.kept) EndChain(current.parent, seen.id, current.chain, -1);
+  if (seen.anchored) EndChain(current.previous, seen.base, current.T_ended_base, at);
+  if (seen.parent >= 0) ++history_[At(seen.parent)].successors;
+  if (!seen.kept) seen.stretch = StretchBehind(seen.parent, seen.anchored, at);
+  index_[seen.id.value] = at;
   history_.push_back(seen);
 }
 
@@ -297,6 +326,8 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
       Keep(current, {});
     } else if (options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl) {
       Search(current, decision, registration);
+    } else if (options_.strategy == Strategy::kBounded) {
+      Bound(current, decision, registration);
     } else if (options_.strategy == Strategy::kApal || input.keep) {
       LinkAll(current, decision, registration);
     }
@@ -397,7 +428,17 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
   decision.gain = *record.measured_gain;
   decision.innovation = record.innovation;
   decision.outlier = record.outlier;
-  if (decision.accepted) {
+  if (decision.accepted && options_.strategy == Strategy::kBounded) {
+    std::vector<NewEdge> edges(1);
+    edges[0].a = carried.from;
+    edges[0].b = carried.to;
+    edges[0].T_a_b = measured;
+    edges[0].gain = decision.gain;
+    std::optional<StepReport> report;
+    Decision unused;
+    AddEdges(history_.back().id, edges, unused, report);
+    decision.factor = edges[0].id;
+  } else if (decision.accepted) {
     GraphUpdate<Pose> update;
     update.factors.push_back(carried);
     decision.factor = solver_->Update(update).factor_ids.front();
@@ -405,20 +446,6 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
     links_.push_back({*decision.factor, history_.back().id, decision.gain});
   }
   return decision;
-}
-
-template <class Pose>
-void CompactPoseSlam<Pose>::RemoveLink(FactorId id) {
-  const auto it = std::lower_bound(links_.begin(), links_.end(), id,
-                                   [](const Link& link, FactorId wanted) { return link.factor < wanted; });
-  if (it == links_.end() || it->factor != id) {
-    throw std::invalid_argument("factor " + std::to_string(id.value) + " is not a link of the map");
-  }
-  GraphUpdate<Pose> update;
-  update.removed.push_back(id);
-  solver_->Update(update);
-  UpdateCovariances();
-  links_.erase(it);
 }
 
 template <class Pose>

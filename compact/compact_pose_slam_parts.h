@@ -59,6 +59,28 @@ PositionPriorFactor<Pose> CarryPosition(const PositionPriorFactor<Pose>& prior, 
                                         const UncertainPose<Pose>& T_base_pose, const Pose& T_world_base,
                                         bool is_turned);
 
+// The record of a decision stays small however many poses were in range: what was tried, and the best of the others.
+template <class Pose>
+void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>& options, Decision& decision);
+
+template <class Pose>
+struct CompactPoseSlam<Pose>::Sighting {
+  int offer = -1;       // in Current::offers
+  double log_det = 0;   // of what it leaves open of where the robot is
+  double map_gain = 0;  // what it tells of the map, with the chain, nats
+};
+
+template <class Pose>
+struct CompactPoseSlam<Pose>::NewEdge {
+  PoseId a, b;
+  UncertainPose<Pose> T_a_b;
+  double gain = 0;            // about the map, nats
+  std::vector<int> offers;    // in Current::offers; one: with the chain from a
+  std::vector<PoseId> links;  // where they lead to as measured
+  FactorId id = {};
+  bool fused = false;  // with an edge that was there
+};
+
 template <class Pose>
 struct CompactPoseSlam<Pose>::Evaluated {
   Ask ask;
@@ -72,6 +94,7 @@ template <class Pose>
 struct CompactPoseSlam<Pose>::Current {
   const CompactInput<Pose>* input = nullptr;
   int previous = -1;  // in history_
+  int parent = -1;    // likewise
   PoseId base;        // the kept pose its chain hangs on; itself once it is in the solver
   UncertainPose<Pose> T_base_current;
   UncertainPose<Pose> chain;  // T_base_current as it came in, when base was still another pose
@@ -79,7 +102,10 @@ struct CompactPoseSlam<Pose>::Current {
   std::vector<Offer> offers;
   FactorId odometry;
   bool in_solver = false;
-  bool concatenated = false;  // poses were dropped between base and this one
+  bool concatenated = false;         // poses were dropped between base and this one
+  bool is_anchored = false;          // its chain has started anew, with a link of its own
+  UncertainPose<Pose> T_ended_base;  // if so: from the base of the chain before to that of this one
+  PoseId ended_base;
   std::optional<StepReport> update;
 };
 

@@ -49,7 +49,8 @@ Jacobian Gathered(const Jacobian& P, const Jacobian& P_older) {
 }  // namespace
 
 // The error of a pose, or of one pose seen from another, to first order: the sum of A d over kept poses, and of C l
-// over chains from their base to `at`, in history_: a dropped pose, or the kept one where its chain ends.
+// over chains from their base to `at`, in history_: a dropped pose, or the kept one where its chain ends; behind all of
+// history_ (EndedByLink) chains as links have ended them.
 template <class Pose>
 struct CompactPoseSlam<Pose>::Error {
   using Jacobian = typename Pose::Jacobian;
@@ -76,11 +77,23 @@ struct CompactPoseSlam<Pose>::Error {
   std::vector<Chain> chains;
 };
 
+// The chain that a link of pose `by` has ended. (That the same link starts the chain of that pose is left out.)
+template <class Pose>
+int CompactPoseSlam<Pose>::EndedByLink(int by) const {
+  return static_cast<int>(history_.size()) + by;
+}
+
+template <class Pose>
+int CompactPoseSlam<Pose>::ParentOnChain(int at) const {
+  const int poses = static_cast<int>(history_.size());
+  return at < poses ? history_[At(at)].parent : history_[At(at - poses)].previous;
+}
+
 // The last pose of a dropped one's chain, itself or before it, whose chain has ended at a kept pose; -1 if none. Both
 // chains lead through it.
 template <class Pose>
 int CompactPoseSlam<Pose>::EndedBefore(int pose) const {
-  while (pose >= 0 && !history_[At(pose)].kept && !history_[At(pose)].next_kept) pose = history_[At(pose)].previous;
+  while (pose >= 0 && !history_[At(pose)].kept && !history_[At(pose)].next_kept) pose = history_[At(pose)].parent;
   return pose >= 0 && !history_[At(pose)].kept ? pose : -1;
 }
 
@@ -132,7 +145,7 @@ std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery reco
   for (size_t k = 0; k < history_.size(); ++k) {
     const Seen& seen = history_[k];
     if (!seen.kept && recovery == Recovery::kV2) {
-      ended[k] = seen.next_kept ? static_cast<int>(k) : ended[At(seen.previous)];
+      ended[k] = seen.next_kept ? static_cast<int>(k) : ended[At(seen.parent)];
       out.push_back({seen.id, false, Recover(seen, ended[k])});
     } else {
       out.push_back({seen.id, seen.kept, Estimate(seen.id, recovery)});
@@ -164,8 +177,9 @@ typename CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId id) 
   error.AddChain({at, A * J, AtBase(seen.T_base_pose)});
   if (ended >= 0) {
     const PoseId next = *history_[At(ended)].next_kept;
+    const int by = history_[At(ended)].ended_by;
     error.AddKept(next, A * G * bridge.T_base_next.Adjoint());
-    error.AddChain({index_.at(next.value), -A * J * bridge.K, bridge.P_next});
+    error.AddChain({by < 0 ? index_.at(next.value) : EndedByLink(by), -A * J * bridge.K, bridge.P_next});
   }
   return error;
 }
@@ -185,7 +199,7 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error& erro
   while (!chains.empty()) {
     const auto newest =
         std::max_element(chains.begin(), chains.end(), [](const Chain& a, const Chain& b) { return a.at < b.at; });
-    const int previous = history_[At(newest->at)].previous;
+    const int previous = ParentOnChain(newest->at);
     if (previous < 0 || history_[At(previous)].kept) {
       add(*newest, Jacobian::Zero());
       chains.erase(newest);
@@ -230,6 +244,8 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::RelativeCovariance(PoseId a, Pose
 
 #define TERSE_INSTANTIATE(Pose)                                                                         \
   template int CompactPoseSlam<Pose>::EndedBefore(int) const;                                           \
+  template int CompactPoseSlam<Pose>::EndedByLink(int) const;                                           \
+  template int CompactPoseSlam<Pose>::ParentOnChain(int) const;                                         \
   template CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(const Seen&, int) const;       \
   template Pose CompactPoseSlam<Pose>::Recover(const Seen&, int) const;                                 \
   template Pose CompactPoseSlam<Pose>::Estimate(PoseId) const;                                          \

@@ -3,16 +3,23 @@
 #include <algorithm>
 
 #include "compact_pose_slam_parts.h"
+#include "fused_edges.h"
 #include "terse/compact/state_members.h"
+#include "terse/core/at.h"
 #include "terse/core/log_message.h"
 
 namespace terse {
+namespace {
+
+using internal::At;
+
+}  // namespace
 
 template <class Pose>
 template <class Archive>
 void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
-  auto& [options, most_innovation, most_distance, solver, marginals, history, index, links, refused, failed, searches,
-         T_pose_base, reach, searched_version, searched_base] = *this;
+  auto& [options, most_innovation, most_distance, solver, marginals, history, index, links, fused, refused, failed,
+         searches, T_pose_base, reach, searched_version, searched_base] = *this;
   archive(options);
   if constexpr (Archive::kReads) TakeOptions(options);
   archive(*solver, *marginals, searches);
@@ -21,11 +28,12 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
     archive(factor, added_at, gain);
   });
   archive.Each(history, [&](Seen& seen) {
-    auto& [id, base, T_base_pose, T_world_body_when_seen, previous, successors, kept, next_kept, T_base_next,
-           odometry] = seen;
-    archive(id, base, T_base_pose, T_world_body_when_seen, previous, successors, kept, next_kept, T_base_next,
-            odometry);
+    auto& [id, base, T_base_pose, T_world_body_when_seen, previous, parent, successors, kept, anchored, next_kept,
+           T_base_next, ended_by, stretch, carried, odometry] = seen;
+    archive(id, base, T_base_pose, T_world_body_when_seen, previous, parent, successors, kept, anchored, next_kept,
+            T_base_next, ended_by, stretch, carried, odometry);
   });
+  archive(*fused);
   archive.Each(refused, [&](Refused& link) {
     auto& [candidate, seen, T_candidate_seen] = link;
     archive(candidate, seen, T_candidate_seen);
@@ -41,10 +49,14 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
       const int at = static_cast<int>(index.size());
       const bool is_known = solver->Graph().HasPose(seen.base) && seen.kept == (seen.id == seen.base) &&
                             (!seen.next_kept || solver->Graph().HasPose(*seen.next_kept));
-      if (!is_known || seen.previous >= at || (seen.previous < 0) != (at == 0))
-        archive.Fail("a pose without its chain");
-      // A dropped pose hangs where the one before it does; so chains end at a kept pose.
-      const auto before = static_cast<std::size_t>(std::max(seen.previous, 0));
+      const bool has_chain = seen.previous < at && (seen.previous < 0) == (at == 0) && seen.parent < at &&
+                             (seen.parent < 0) == (at == 0) && (seen.anchored || seen.parent == seen.previous);
+      const int poses = static_cast<int>(history.size());
+      const bool has_end = seen.ended_by < poses && (seen.ended_by < 0 || history[At(seen.ended_by)].anchored);
+      const bool has_stretch = seen.stretch <= at && (seen.stretch < 0) == seen.kept;
+      if (!is_known || !has_chain || !has_end || !has_stretch) archive.Fail("a pose without its chain");
+      // A dropped pose hangs where the one before it on its chain does; so chains end at a kept pose.
+      const auto before = static_cast<std::size_t>(std::max(seen.parent, 0));
       if (!seen.kept && (at == 0 || history[before].base != seen.base)) archive.Fail("a pose without its chain");
       if (at > 0) ++successors_of[before];
       if (!index.emplace(seen.id.value, at).second) archive.Fail("a pose comes twice");
@@ -58,6 +70,12 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
     for (const Failed& registration : failed) {
       if (!solver->Graph().HasPose(registration.candidate) || !HasSeen(registration.seen))
         archive.Fail("a registration of unknown poses");
+    }
+    for (const auto& [ends, edge] : fused->All()) {
+      const FactorNode<Pose>* node = solver->Graph().FindFactor(edge.factor);
+      const FactorPoses joined = node != nullptr ? PosesOf(node->factor) : FactorPoses();
+      if (joined.count != 2 || FusedEdges<Pose>::Ordered(joined.first, joined.second) != ends)
+        archive.Fail("an edge that is not in the map");
     }
     for (const Link& link : links) {
       if (solver->Graph().FindFactor(link.factor) == nullptr || !HasSeen(link.added_at))

@@ -19,6 +19,7 @@ const char* Name(PoseVerdict verdict) {
     case PoseVerdict::kInformative: return "informative";
     case PoseVerdict::kRedundant: return "redundant";
     case PoseVerdict::kGiven: return "drawn";
+    case PoseVerdict::kAnchored: return "anchored";
   }
   return "unknown";
 }

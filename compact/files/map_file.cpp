@@ -61,6 +61,7 @@ std::string PoseText(const typename CompactMap<Pose>::SeenPose& pose) {
                     ",\"T_world_body\":" + Numbers(pose.T_world_body) +
                     ",\"T_world_body_when_seen\":" + Numbers(pose.T_world_body_when_seen) +
                     ",\"previous\":" + (pose.previous ? Id(*pose.previous) : "null");
+  if (pose.anchored_to) out += ",\"anchored_to\":" + Id(*pose.anchored_to);
   if (!pose.kept) {
     out += ",\"base\":" + Id(pose.base) + ",\"T_base_pose\":" + Numbers(pose.T_base_pose.T_a_b) +
            ",\"covariance\":" + Triangle<Pose::kDof>(pose.T_base_pose.covariance) +
@@ -69,8 +70,20 @@ std::string PoseText(const typename CompactMap<Pose>::SeenPose& pose) {
       out += ",\"T_base_next\":" + Numbers(pose.T_base_next.T_a_b) +
              ",\"covariance_next\":" + Triangle<Pose::kDof>(pose.T_base_next.covariance);
     }
+    if (pose.ended_by) out += ",\"ended_by\":" + Id(*pose.ended_by);
+    if (pose.carried) out += ",\"carried\":true";
   }
   return out + '}';
+}
+
+template <class Pose>
+std::string PartText(const typename CompactMap<Pose>::Part& part) {
+  std::string out = "{\"id\":" + std::to_string(part.id.value) + ",\"added_at\":" + Id(part.added_at) +
+                    ",\"gain_nats\":" + Shortest(part.gain) + ",\"links\":[";
+  for (std::size_t k = 0; k < part.links.size(); ++k) out += (k > 0 ? "," : "") + Id(part.links[k]);
+  return out + "],\"measurements\":" + std::to_string(part.measurements) +
+         ",\"T_from_to\":" + Numbers(part.T_from_to.T_a_b) +
+         ",\"covariance\":" + Triangle<Pose::kDof>(part.T_from_to.covariance) + '}';
 }
 
 template <class Pose>
@@ -84,6 +97,11 @@ std::string EdgeText(const typename CompactMap<Pose>::Edge& edge) {
   if (!edge.composed_of.empty()) {
     out += ",\"composed_of\":[";
     for (std::size_t k = 0; k < edge.composed_of.size(); ++k) out += (k > 0 ? "," : "") + Id(edge.composed_of[k]);
+    out += ']';
+  }
+  if (!edge.parts.empty()) {
+    out += ",\"parts\":[";
+    for (std::size_t k = 0; k < edge.parts.size(); ++k) out += (k > 0 ? "," : "") + PartText<Pose>(edge.parts[k]);
     out += ']';
   }
   return out + '}';
@@ -242,12 +260,27 @@ typename CompactMap<Pose>::SeenPose ReadSeenPose(const Place& place) {
   pose.T_world_body = ReadPose<Pose>(place, "T_world_body");
   pose.T_world_body_when_seen = ReadPose<Pose>(place, "T_world_body_when_seen");
   pose.previous = ReadOptionalId(place, "previous");
+  if (place.Has("anchored_to")) pose.anchored_to = ReadId(place, "anchored_to");
   if (pose.kept) return pose;
   pose.base = ReadId(place, "base");
   pose.T_base_pose = ReadUncertain<Pose>(place, "T_base_pose", "covariance");
   pose.next_kept = ReadOptionalId(place, "next_kept");
   if (pose.next_kept) pose.T_base_next = ReadUncertain<Pose>(place, "T_base_next", "covariance_next");
+  if (place.Has("ended_by")) pose.ended_by = ReadId(place, "ended_by");
+  pose.carried = place.Has("carried") && place.At("carried", "true or false").Flag();
   return pose;
+}
+
+template <class Pose>
+typename CompactMap<Pose>::Part ReadPart(const Place& place) {
+  typename CompactMap<Pose>::Part part;
+  part.id = {place.At("id", "a number").Integer()};
+  part.added_at = ReadId(place, "added_at");
+  part.gain = place.At("gain_nats", "a number").Number();
+  for (const Place& id : place.At("links", "a list").Items()) part.links.push_back({id.Integer()});
+  part.measurements = place.At("measurements", "a number").Integer();
+  part.T_from_to = ReadUncertain<Pose>(place, "T_from_to", "covariance");
+  return part;
 }
 
 template <class Pose>
@@ -261,6 +294,9 @@ typename CompactMap<Pose>::Edge ReadEdge(const Place& place) {
   if (place.Has("gain_nats")) edge.gain = place.At("gain_nats", "a number").Number();
   if (place.Has("composed_of")) {
     for (const Place& id : place.At("composed_of", "a list").Items()) edge.composed_of.push_back({id.Integer()});
+  }
+  if (place.Has("parts")) {
+    for (const Place& part : place.At("parts", "a list").Items()) edge.parts.push_back(ReadPart<Pose>(part));
   }
   return edge;
 }

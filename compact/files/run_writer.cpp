@@ -39,6 +39,16 @@ std::string JsonNumber(const std::optional<double>& value) {
 
 const char* JsonFlag(bool value) { return value ? "true" : "false"; }
 
+void WriteEdges(const std::vector<ComposedEdge>& edges, std::ostream& out) {
+  const char* before = ",\"edges\":[";
+  for (const ComposedEdge& edge : edges) {
+    out << before << "{\"id\":" << edge.id.value << ",\"from\":" << edge.from.value << ",\"to\":" << edge.to.value
+        << ",\"gain_nats\":" << JsonNumber(edge.gain) << ",\"fused\":" << JsonFlag(edge.fused) << '}';
+    before = ",";
+  }
+  out << ']';
+}
+
 // A JSON object per line.
 void WriteDecisionLines(const std::vector<Decision>& decisions, const std::string& earlier, const std::string& path) {
   AtomicFile file(path);
@@ -57,11 +67,16 @@ void WriteDecisionLines(const std::vector<Decision>& decisions, const std::strin
           << ",\"accepted\":" << JsonFlag(c.accepted) << ",\"innovation\":" << JsonNumber(c.innovation)
           << ",\"factor\":" << (c.factor ? std::to_string(c.factor->value) : "null");
       if (c.carried_from) out << ",\"carried_from\":" << c.carried_from->value;
+      if (c.anchors) out << ",\"anchors\":true";
+      if (c.composed) out << ",\"composed\":true";
       out << '}';
     }
     out << "],\"candidates_found\":" << d.candidates_found << ",\"revived\":[";
     for (std::size_t k = 0; k < d.revived.size(); ++k) out << (k > 0 ? "," : "") << d.revived[k].value;
-    out << "]}\n";
+    out << ']';
+    if (d.anchored_to) out << ",\"anchored_to\":" << d.anchored_to->value;
+    if (!d.edges.empty()) WriteEdges(d.edges, out);
+    out << "}\n";
   }
   file.Commit();
 }

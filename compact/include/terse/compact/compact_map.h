@@ -28,6 +28,21 @@ struct CompactMap {
     // Of a dropped one, once its chain has ended at another kept pose.
     std::optional<PoseId> next_kept;
     UncertainPose<Pose> T_base_next;
+    // Of a dropped one whose chain starts with a link of its own: the pose that the link leads to. It hangs where that
+    // one does.
+    std::optional<PoseId> anchored_to;
+    // Of one whose chain a link has ended: the pose that was anchored so. Absent if odometry did.
+    std::optional<PoseId> ended_by;
+    bool carried = false;  // the chain has served to carry a loop to its base
+  };
+  // One of the measurements that make an edge together.
+  struct Part {
+    FactorId id;                // CompactPoseSlam::RemoveLink takes it; -1 of several that are one by now
+    PoseId added_at;            // the pose at whose step it came in
+    double gain = 0;            // nats; of odometry 0
+    std::vector<PoseId> links;  // composed: where its links lead to from that pose; one link goes with the pose's chain
+    UncertainPose<Pose> T_from_to;  // from the smaller id of the edge's ends to the larger
+    long measurements = 1;
   };
   struct Edge {
     FactorId factor;
@@ -37,6 +52,8 @@ struct CompactMap {
     std::optional<double> gain;  // nats; of links that were tested
     // Odometry over dropped poses: those whose measurements were concatenated, from kept pose to kept pose. Else empty.
     std::vector<PoseId> composed_of;
+    // Where several measurements make the edge, or links composed it: these, oldest first. Else empty.
+    std::vector<Part> parts;
   };
   struct Prior {
     FactorId factor;

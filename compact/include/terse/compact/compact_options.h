@@ -13,8 +13,10 @@
 namespace terse {
 
 // kApal: all poses, all links. kApfl: all poses, those links that pass the tests. kFpfl: few poses, few links. kGiven:
-// the poses and links that the input names (CompactInput::keep, loops), however they were chosen.
-enum class Strategy { kApal, kApfl, kFpfl, kGiven };
+// the poses and links that the input names (CompactInput::keep, loops), however they were chosen. kBounded: as many as
+// the area needs, however often it is passed (compact_pose_slam.h). Saved states hold the numbers: new values come
+// last.
+enum class Strategy { kApal, kApfl, kFpfl, kGiven, kBounded };
 const char* Name(Strategy strategy);
 
 // What a Decision keeps of the search: nothing but counts, what was registered, or also the best of what was not.

@@ -27,6 +27,7 @@
 // throws, or a defective link that it returns throws, passes through; links accepted before it, and the pose with
 // them, stay (none with kApal, which adds all links at once). Not thread-safe.
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -44,6 +45,8 @@ namespace terse {
 
 template <class Pose>
 class PoseIndex;
+template <class Pose>
+class FusedEdges;
 
 // How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Ila et al. 2017 Eq. 24): chained to the
 // kept pose before them. kV2 (Ila et al. 2017 Eqs. 25-26): that chain's misfit at the next kept pose spread over it by
@@ -87,8 +90,9 @@ class CompactPoseSlam {
   // of AddPose are. Throws std::invalid_argument for unknown poses, a defective link, or if both ends hang on the same
   // kept pose.
   LinkDecision AddLink(const RelativePoseFactor<Pose>& link);
-  // Takes a link out again that was found wrong; the map is as optimal without it as with it. Throws
-  // std::invalid_argument if there is no such link, or if it is odometry; NumericalError if the map needs it.
+  // Takes a link out again that was found wrong; the map is as optimal without it as with it. One of several that make
+  // an edge together (ComposedEdge, CompactMap::Part) leaves the others. Throws std::invalid_argument if there is no
+  // such link, or if it is odometry; NumericalError if the map needs it.
   void RemoveLink(FactorId id);
   // The same measurement between the kept poses that its ends hang on: T_base_pose of a dropped end composed to it, the
   // covariance too. (The chain's error is counted in the map's odometry as well; the two are taken as independent.)
@@ -145,12 +149,21 @@ class CompactPoseSlam {
     PoseId id, base;
     UncertainPose<Pose> T_base_pose;
     Pose T_world_body_when_seen;
-    int previous = -1;   // the pose its odometry comes from, in history_
-    int successors = 0;  // poses whose odometry comes from it
+    int previous = -1;  // the pose its odometry comes from, in history_
+    // The pose that its chain comes from: the same, unless a link has anchored it to another one.
+    int parent = -1;
+    int successors = 0;  // poses whose chain comes from it
     bool kept = true;
-    // A dropped pose's chain as it ends at the next kept pose.
+    bool anchored = false;
+    // A dropped pose's chain as it ends at the next kept pose: with that one's odometry, or with a link of the pose
+    // `ended_by`, which was anchored.
     std::optional<PoseId> next_kept;
     UncertainPose<Pose> T_base_next;
+    int ended_by = -1;
+    // Chains are measured in stretches: from a kept pose or a link on. The first pose of this one's, in history_ (-1 of
+    // a kept pose), and there, whether it served to carry a loop of another pose: once is all.
+    int stretch = -1;
+    bool carried = false;
     FactorId odometry;  // of a kept pose but the first: the factor that it came in with
   };
   struct Link {
@@ -172,6 +185,9 @@ class CompactPoseSlam {
   struct Ask;        // a pose that may be linked
   struct Evaluated;  // one with what is known of it
   struct Current;    // the pose at hand
+  struct Sighting;   // a loop of the pose at hand that agrees with the map
+  struct NewEdge;    // composed of measurements, between kept poses
+  struct ChangedEdges;
 
   // compact_pose_slam.cpp
   void TakeOptions(const CompactOptions<Pose>& options);
@@ -180,16 +196,22 @@ class CompactPoseSlam {
   void LogVerdict(const Decision& decision) const;
   void Judge(const Current& current, Decision& decision) const;
   std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links, const Revival* revival = nullptr);
+  int StretchBehind(int parent, bool anchored, int at) const;
+  void EndChain(int last, PoseId next, const UncertainPose<Pose>& T_base_next, int ended_by);
   void Remember(const Current& current);
   const Seen& Find(PoseId id) const;
   RelativePoseFactor<Pose> Carry(const RelativePoseFactor<Pose>& link, const Seen* from, const Seen* to) const;
   // compact_loops.cpp
   void TakeOffers(Current& current) const;
+  bool IsSpent(PoseId dropped) const;
+  void Spend(const Offer& offer);
   bool TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
   void Search(Current& current, Decision& decision, const Registration<Pose>& registration);
   void CloseLoops(Current& current, std::vector<Evaluated> candidates, Decision& decision,
                   const Registration<Pose>& registration);
   void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
+  bool IsBelieved(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
+                  Candidate& record);
   bool PassesTests(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
                    Candidate& record);
   bool Accept(Current& current, Evaluated& candidate, const RelativePoseFactor<Pose>& link, Decision& decision);
@@ -201,11 +223,30 @@ class CompactPoseSlam {
   std::vector<Failed> FailedNear(const Current& current) const;
   bool IsNearFailed(const std::vector<Failed>& failed, PoseId candidate) const;
   bool AreNeighbours(const Pose& T_world_a, const Pose& T_world_b) const;
+  // compact_bounded.cpp
+  void Bound(Current& current, Decision& decision, const Registration<Pose>& registration);
+  double MapGain(const Current& current, const UncertainPose<Pose>& known, const Jacobian& Sigma_link) const;
+  void ThinOffers(Current& current) const;
+  void Sight(const Current& current, int offer, Decision& decision, std::vector<Evaluated>& candidates,
+             std::vector<Sighting>& sightings);
+  void RegisterSightings(Current& current, Decision& decision, const Registration<Pose>& registration,
+                         std::vector<Evaluated>& candidates, std::vector<Sighting>& sightings);
+  void Anchor(Current& current, Decision& decision, std::vector<Evaluated>& candidates,
+              std::vector<Sighting> sightings);
+  std::vector<NewEdge> ComposeEdges(const Current& current, std::vector<Sighting> sightings) const;
+  // compact_edges.cpp
+  double LeastEdgeGain(PoseId a, PoseId b) const;
+  void RememberEdge(const Factor<Pose>& factor, FactorId id, bool is_odometry);
+  typename std::vector<Link>::iterator FindLink(FactorId id);
+  typename CompactMap<Pose>::Part FirstPart(PoseId from, PoseId to, FactorId factor);
+  void AddEdges(PoseId added_at, std::vector<NewEdge>& edges, Decision& decision, std::optional<StepReport>& report);
+  void ReplaceEdges(PoseId added_at, ChangedEdges& changed, std::optional<StepReport>& report);
   // compact_revival.cpp
   bool IsPlainChain(PoseId dropped, int newest, int successors_of_newest) const;
   std::optional<Revival> PlanRevival(PoseId dropped) const;
   Revival PlanRevivalOnChain(PoseId dropped, const Current& current) const;
   void AddRevival(const Revival& revival, GraphUpdate<Pose>& update) const;
+  void ReviveEdges(const Revival& revival, const std::vector<FactorId>& ids);
   void Revive(const Revival& revival, const std::vector<FactorId>& ids);
   // compact_search.cpp
   void UpdateCovariances();
@@ -219,6 +260,8 @@ class CompactPoseSlam {
   // compact_recovery.cpp
   struct Bridge;
   struct Error;
+  int EndedByLink(int by) const;
+  int ParentOnChain(int at) const;
   int EndedBefore(int pose) const;
   Bridge BridgeOf(const Seen& seen, int ended) const;
   Pose Recover(const Seen& seen, int ended) const;
@@ -227,6 +270,7 @@ class CompactPoseSlam {
   typename Pose::Jacobian ChainCovariance(const Error& error) const;
   // compact_map.cpp
   std::vector<PoseId> ComposedOf(const RelativePoseFactor<Pose>& edge) const;
+  void RestoreEdge(const typename CompactMap<Pose>::Edge& edge, FactorId factor);
   void TakeHistory(const CompactMap<Pose>& map);
   // compact_outliers.cpp
   UncertainPose<Pose> Between(PoseId a, PoseId b) const;
@@ -246,6 +290,7 @@ class CompactPoseSlam {
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<Link> links_;                      // ascending factors
+  std::unique_ptr<FusedEdges<Pose>> fused_;      // kBounded: what joins kept poses
   std::vector<Refused> refused_;                 // the last ones
   std::vector<Failed> failed_;                   // likewise
   bool searches_ = false;                        // covariances are kept with every change

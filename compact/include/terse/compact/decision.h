@@ -23,10 +23,31 @@ struct Candidate {
   bool accepted = false;
   std::optional<FactorId> factor;      // if accepted: CompactPoseSlam::RemoveLink takes it
   std::optional<PoseId> carried_from;  // the dropped pose that the loop was measured at
+  // kBounded, what the link served for if not as a factor of its own: the chain starts anew with it; it is part of an
+  // edge between kept poses.
+  bool anchors = false, composed = false;
 };
 
-enum class PoseVerdict { kFirst, kAllKept, kLoopClosed, kPrior, kNothingInRange, kInformative, kRedundant, kGiven };
+enum class PoseVerdict {
+  kFirst,
+  kAllKept,
+  kLoopClosed,
+  kPrior,
+  kNothingInRange,
+  kInformative,
+  kRedundant,
+  kGiven,
+  kAnchored
+};
 const char* Name(PoseVerdict verdict);
+
+// A measurement between kept poses, composed of links of a pose that is not kept (Strategy::kBounded).
+struct ComposedEdge {
+  FactorId id;  // CompactPoseSlam::RemoveLink takes it
+  PoseId from, to;
+  double gain = 0;     // about the map, nats
+  bool fused = false;  // with an edge that joined the two already
+};
 
 struct Decision {
   PoseId id;
@@ -42,10 +63,14 @@ struct Decision {
   int links_refused = 0;  // as outliers
   // Poses dropped earlier that are kept from now on, because a loop of this pose leads to them.
   std::vector<PoseId> revived;
+  // kBounded: the kept pose at which the chain started anew, and the edges that the pose's links made.
+  std::optional<PoseId> anchored_to;
+  std::vector<ComposedEdge> edges;
   // All updates of the map in this step together (one per link that is added; with kApal one for all): whether any
-  // opened the gate, the greatest gate value, sums of work. Absent if the pose was dropped.
+  // opened the gate, the greatest gate value, sums of work. Absent if the map did not
+  // change.
   std::optional<StepReport> update;
-  bool Kept() const { return verdict != PoseVerdict::kRedundant; }
+  bool Kept() const { return verdict != PoseVerdict::kRedundant && verdict != PoseVerdict::kAnchored; }
 };
 
 }  // namespace terse

@@ -8,7 +8,7 @@ namespace terse {
 
 // "rfpfl": as few poses and links as fpfl keeps, drawn at random, is what the command gives Strategy::kGiven.
 TERSE_WORDS(Strategy, "strategy", {"apal", Strategy::kApal}, {"apfl", Strategy::kApfl}, {"fpfl", Strategy::kFpfl},
-            {"rfpfl", Strategy::kGiven});
+            {"rfpfl", Strategy::kGiven}, {"bounded", Strategy::kBounded});
 TERSE_WORDS(Record, "record", {"none", Record::kNone}, {"decisions", Record::kDecisions},
             {"candidates", Record::kCandidates});
 TERSE_WORDS(AngleMeasure, "angle", {"view", AngleMeasure::kViewDirection}, {"rotation", AngleMeasure::kRotation});
