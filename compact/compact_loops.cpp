@@ -326,7 +326,8 @@ template <class Pose>
 std::vector<typename CompactPoseSlam<Pose>::Failed> CompactPoseSlam<Pose>::FailedNear(const Current& current) const {
   std::vector<Failed> out;
   for (const Failed& failed : failed_) {
-    if (AreNeighbours(Estimate(failed.seen), current.T_world_body)) out.push_back(failed);
+    const bool is_own = failed.seen == current.input->id;  // which is not remembered yet
+    if (is_own || AreNeighbours(Estimate(failed.seen), current.T_world_body)) out.push_back(failed);
   }
   return out;
 }

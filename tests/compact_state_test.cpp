@@ -49,17 +49,25 @@ std::string SavedButTimes(const CompactPoseSlam<Pose>& slam) {
 // All fields, so that a new one is not forgotten.
 std::string Fields(const Candidate& candidate) {
   const auto& [id, probability, gain, measured, tried, measured_gain, innovation, outlier, supported, accepted, factor,
-               carried_from] = candidate;
+               carried_from, anchors, composed] = candidate;
   return Bits(id) + Bits(probability) + Bits(gain) + Bits(measured) + Bits(tried) + Bits(measured_gain) +
-         Bits(innovation) + Bits(outlier) + Bits(supported) + Bits(accepted) + Bits(factor) + Bits(carried_from);
+         Bits(innovation) + Bits(outlier) + Bits(supported) + Bits(accepted) + Bits(factor) + Bits(carried_from) +
+         Bits(anchors) + Bits(composed);
+}
+
+std::string Fields(const ComposedEdge& edge) {
+  const auto& [id, from, to, gain, fused] = edge;
+  return Bits(id) + Bits(from) + Bits(to) + Bits(gain) + Bits(fused);
 }
 
 std::string Fields(const Decision& decision) {
-  const auto& [id, candidates, found, verdict, pose_gain, tried, accepted, refused, revived, update] = decision;
-  EXPECT_EQ(update.has_value(), decision.Kept());
+  const auto& [id, candidates, found, verdict, pose_gain, tried, accepted, refused, revived, anchored_to, edges,
+               update] = decision;
+  EXPECT_EQ(update.has_value(), decision.Kept() || !edges.empty());
   std::string out = (update ? Bits(update->gate_value) + Bits(update->flops) : "") + Bits(id) + Bits(verdict) +
                     Bits(pose_gain) + Bits(tried) + Bits(accepted) + Bits(refused) + Bits(candidates.size()) +
-                    Bits(found);
+                    Bits(found) + Bits(anchored_to);
+  for (const ComposedEdge& edge : edges) out += Fields(edge);
   for (const PoseId back : revived) out += Bits(back);
   for (const Candidate& candidate : candidates) out += Fields(candidate);
   return out;
@@ -98,7 +106,7 @@ struct Setting {
   bool measured = false;  // loops come with the poses
 };
 
-constexpr std::array<Setting, 14> kSettings = {{
+constexpr std::array<Setting, 18> kSettings = {{
     {"fpfl", Strategy::kFpfl},
     {"fpfl, priors", Strategy::kFpfl, true, RobustKernel::kNone, true},
     {"fpfl, branches", Strategy::kFpfl, true, RobustKernel::kNone, false, true},
@@ -113,6 +121,10 @@ constexpr std::array<Setting, 14> kSettings = {{
     {"apal, searching, gnc, branches", Strategy::kApal, false, RobustKernel::kGnc, false, true},
     {"fpfl, loops", Strategy::kFpfl, true, RobustKernel::kNone, false, false, false, true},
     {"apfl, loops, gnc, branches", Strategy::kApfl, true, RobustKernel::kGnc, false, true, false, true},
+    {"bounded", Strategy::kBounded},
+    {"bounded, loops", Strategy::kBounded, true, RobustKernel::kNone, false, false, false, true},
+    {"bounded, loops, priors, branches", Strategy::kBounded, true, RobustKernel::kNone, true, true, false, true},
+    {"bounded, loops, gnc", Strategy::kBounded, true, RobustKernel::kGnc, false, false, false, true},
 }};
 
 // A run over a random graph: its inputs, and what happens besides.
@@ -211,6 +223,7 @@ class Lockstep {
     for (const Candidate& c : decision.candidates) {
       if (c.factor) links_.push_back(*c.factor);
     }
+    for (const ComposedEdge& edge : decision.edges) links_.push_back(edge.id);
     links += decision.links_accepted;
     refused += decision.links_refused;
     dropped += decision.Kept() ? 0 : 1;
@@ -276,7 +289,8 @@ TYPED_TEST(CompactStateTest, ContinuesBitByBit) {
     if (setting.other) {
       EXPECT_GT(refused, 0) << "refused links are part of the state";
     }
-    EXPECT_EQ(dropped > 0, setting.strategy == Strategy::kFpfl) << setting.name;
+    const bool drops = setting.strategy == Strategy::kFpfl || setting.strategy == Strategy::kBounded;
+    EXPECT_EQ(dropped > 0, drops) << setting.name;
   }
 }
 
@@ -429,7 +443,7 @@ TEST(CompactStateErrorTest, ChainsEndAtAKeptPose) {
                            testing::Bytes(first) + std::string(12 * sizeof(double), '\0');
   ASSERT_NE(whole.find(pose), std::string::npos);
   const std::size_t base = whole.find(pose) + sizeof(std::uint64_t) + sizeof(first);
-  const std::size_t successors = base + sizeof(first) + 15 * sizeof(double) + sizeof(int),
+  const std::size_t successors = base + sizeof(first) + 15 * sizeof(double) + 2 * sizeof(int),
                     kept = successors + sizeof(int);
   ASSERT_EQ(whole[kept], 1);
   const auto refused = [&](const std::string& bytes) {
