@@ -161,6 +161,7 @@ void CompactPoseSlam<Pose>::Bound(Current& current, Decision& decision, const Re
   const bool tells_map = std::any_of(sightings.begin(), sightings.end(),
                                      [&](const Sighting& s) { return s.map_gain > options_.thresholds.min_loop_gain; });
   if (is_kept || tells_map) {
+    if (!registers) search();
     for (Evaluated& e : candidates) {
       if (e.ask.offer >= 0 && !IsRefused(e.record)) e.record.tried = false;
     }

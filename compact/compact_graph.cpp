@@ -76,6 +76,7 @@ SampledThresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOp
                                          SampleOptions sample) {
   sample.probability = options.thresholds.probability;
   sample.distance = options.distance;
+  sample.strategy = options.strategy;
   sample.innovation_quantile = options.innovation_quantile;
   SampledThresholds<Pose> chosen = SelectThresholds(graph, sample);
   options.thresholds = chosen.thresholds;

@@ -70,7 +70,8 @@ SampledThresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const Sam
   const double most = kRareLoopGain + (kMostLoopGain - kRareLoopGain) * std::min(1.0, loops / kManyLoops);
   const double usual =
       std::clamp(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof, kMostLoopGain * Pose::kDof);
-  out.thresholds.min_loop_gain = std::min(usual, most * Pose::kDof);
+  const bool is_bounded = options.strategy == Strategy::kBounded;
+  out.thresholds.min_loop_gain = std::min(is_bounded ? kLeastLoopGain * Pose::kDof : usual, most * Pose::kDof);
   out.thresholds.min_pose_gain =
       std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * usual});
   return out;

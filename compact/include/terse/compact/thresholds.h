@@ -23,6 +23,9 @@ struct SampleOptions {
   double share = 0.6;  // of the run's poses are looked at, spread over the run (the first 5000 poses of a longer one)
   long most_poses = 200;  // but no more than so many
   DistanceOptions distance;
+  // That the thresholds are for: a bounded map asks for links that tell the least that min_loop_gain may be. There an
+  // edge is no pose, and what fuses costs nothing.
+  Strategy strategy = Strategy::kFpfl;
   // Loops whose innovation exceeds this quantile (CompactOptions::innovation_quantile) are left out of the sample: for
   // graphs with wrong loops, whose covariances are right. Absent: all loops are taken for true.
   std::optional<double> innovation_quantile;
