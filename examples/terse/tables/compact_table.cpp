@@ -38,7 +38,9 @@ class TableRun {
     RunFpfl();
     is_giant_ ? TakeOptimumAsApal() : RunApal();
     if (options_.apfl) row_.apfl = RunStrategy(Strategy::kApfl).first;
-    RunRandom();
+    row_.rfpfl = RunRandom(row_.fpfl);
+    row_.bounded = RunStrategy(Strategy::kBounded).first;
+    row_.random = RunRandom(row_.bounded);
     if (options_.norms) {
       row_.norms = ComputeNorms(named_.graph, settings_, row_.graph + " norms", options_.quiet);
     }
@@ -69,19 +71,25 @@ class TableRun {
   }
 
   void ChooseThresholds() {
-    const double before = SecondsNow();
+    CompactOptions<Pose> bounded = settings_;
+    bounded.strategy = Strategy::kBounded;
+    SampleWithProgress(named_.graph, options_.sample, row_.graph + " sample", options_.quiet, bounded);
+    bounded_thresholds_ = bounded.thresholds;
+    const double between = SecondsNow();
     SampleWithProgress(named_.graph, options_.sample, row_.graph + " sample", options_.quiet, settings_);
     const auto& [range, probability, min_loop_gain, min_pose_gain, link_covariance] = settings_.thresholds;
     row_.thresholds = {
-        {range.data(), range.data() + range.size()}, probability, min_loop_gain, min_pose_gain, SecondsNow() - before};
+        {range.data(), range.data() + range.size()}, probability, min_loop_gain, min_pose_gain, SecondsNow() - between};
   }
 
   // With the covariances of every step, or (APFL, FPFL, random) those that it asks for itself.
-  std::pair<StrategyResult, CompactRun<Pose>> RunStrategy(Strategy strategy, std::optional<std::uint64_t> seed = {}) {
+  std::pair<StrategyResult, CompactRun<Pose>> RunStrategy(Strategy strategy, const StrategyResult* size = nullptr,
+                                                          std::uint64_t seed = 0) {
     GraphReplay<Pose> replay(named_.graph);
-    if (seed) DrawAtRandom(replay, row_.fpfl.poses, row_.fpfl.links, *seed);
+    if (size != nullptr) DrawAtRandom(replay, size->poses, std::min(size->links, row_.links), seed);
     CompactOptions<Pose> settings = settings_;
     settings.strategy = strategy;
+    if (strategy == Strategy::kBounded) settings.thresholds = bounded_thresholds_;
     StrategyResult result;
     std::unique_ptr<IncrementalMarginals<Pose>> marginals;
     StepRecorder<Pose> recorder(row_.poses, truth_ ? &*truth_ : nullptr);
@@ -108,7 +116,7 @@ class TableRun {
     result.seconds_solving = solving;
     if (strategy == Strategy::kApal) result.seconds_covariances = covariances;
     result.errors = Errors(run.slam.Trajectory());
-    const bool is_first = !seed || *seed == options_.seed;
+    const bool is_first = size == nullptr || (size == &row_.fpfl && seed == options_.seed);
     if (is_first && !options_.folder.empty()) WriteFolder(run, recorder.Steps());
     return {std::move(result), std::move(run)};
   }
@@ -145,24 +153,26 @@ class TableRun {
     row_.apal.errors = Errors(all);
   }
 
-  // The mean of the errors.
-  void RunRandom() {
-    if (options_.random_runs < 1) return;
+  // Maps of that size, drawn at random; the mean of the errors.
+  std::optional<StrategyResult> RunRandom(const StrategyResult& size) {
+    if (options_.random_runs < 1) return std::nullopt;
+    StrategyResult last;
     TrajectoryErrors mean;
     const double share = 1.0 / options_.random_runs;
     for (int k = 0; k < options_.random_runs; ++k) {
       const std::uint64_t seed = options_.seed + static_cast<std::uint64_t>(k);
-      StrategyResult result = RunStrategy(Strategy::kGiven, seed).first;
+      StrategyResult result = RunStrategy(Strategy::kGiven, &size, seed).first;
       for (PoseError TrajectoryErrors::*kind :
            {&TrajectoryErrors::ate, &TrajectoryErrors::rpe, &TrajectoryErrors::rpe_all}) {
         (mean.*kind).translation_m += share * ((*result.errors).*kind).translation_m;
         (mean.*kind).rotation_deg += share * ((*result.errors).*kind).rotation_deg;
       }
       mean.stride = result.errors->stride;
-      row_.rfpfl = std::move(result);
+      last = std::move(result);
     }
-    row_.rfpfl->errors = mean;
-    row_.rfpfl->growth.clear();
+    last.errors = mean;
+    last.growth.clear();
+    return last;
   }
 
   const NamedGraph<Pose>& named_;
@@ -172,6 +182,7 @@ class TableRun {
   std::vector<Pose> optimum_;
   std::optional<TruePoses> truth_;
   CompactOptions<Pose> settings_;
+  Thresholds<Pose> bounded_thresholds_;
   CompactTableRow row_;
 };
 

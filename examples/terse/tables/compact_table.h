@@ -15,7 +15,7 @@ namespace terse {
 struct CompactTableOptions {
   std::optional<double> sample;  // share of the run that the thresholds are chosen from; absent: SelectThresholds's own
   std::uint64_t seed = 1;
-  int random_runs = 3;  // of RFPFL, with the seeds from `seed` on
+  int random_runs = 3;  // of RFPFL and of random maps of the bounded one's size, with the seeds from `seed` on
   bool apfl = false;
   bool norms = false;  // Fig. 6
   // Graphs with more poses: no covariances at every step, and APAL is one batch solution.
@@ -57,6 +57,8 @@ struct CompactTableRow {
   std::map<std::string, TrajectoryErrors> recovery;  // Table 1: v0, v1, v2 of FPFL
   StrategyResult apal, fpfl;
   std::optional<StrategyResult> apfl, rfpfl;  // if asked for
+  StrategyResult bounded;                     // with thresholds for it
+  std::optional<StrategyResult> random;       // of its size, the mean of the errors
   std::vector<NormPoint> norms;
 
   // Absent without a truth to compare with, or a time.

@@ -91,6 +91,27 @@ std::string ErrorsText(const std::vector<CompactTableRow>& rows) {
   return table.Text();
 }
 
+std::string BoundedText(const std::vector<CompactTableRow>& rows) {
+  TextTable table({"graph", "poses %", "links %", "FPFL poses %", "FPFL links %", "ATE m", "FPFL ATE m", "random ATE m",
+                   "random / bounded", "ATE / APAL", "time s", "APAL / bounded"});
+  for (const CompactTableRow& row : rows) {
+    const auto ate = [](const StrategyResult& result) {
+      return result.errors ? std::optional<double>(result.errors->ate.translation_m) : std::nullopt;
+    };
+    const auto over = [](std::optional<double> a, std::optional<double> b) {
+      return a && b ? std::optional<double>(*a / *b) : std::nullopt;
+    };
+    const std::optional<double> random = row.random ? ate(*row.random) : std::nullopt;
+    table.AddRow({row.graph, FixedCell(Percent(row.bounded.poses, row.poses), 1),
+                  FixedCell(Percent(row.bounded.links, row.links), 1), FixedCell(Percent(row.fpfl.poses, row.poses), 1),
+                  FixedCell(Percent(row.fpfl.links, row.links), 1), Cell(ate(row.bounded), 4), Cell(ate(row.fpfl), 4),
+                  Cell(random, 4), FixedCell(over(random, ate(row.bounded)), 1),
+                  FixedCell(row.AteRatio(row.bounded), 2), Cell(row.bounded.Seconds()),
+                  FixedCell(over(row.apal.Seconds(), row.bounded.Seconds()), 0)});
+  }
+  return table.Text();
+}
+
 Json OrNull(std::optional<double> value) { return value && std::isfinite(*value) ? Json(*value) : Json(nullptr); }
 
 Json ToJson(const PoseError& error) {
@@ -126,7 +147,8 @@ std::string CompactTablesText(const std::vector<CompactTableRow>& rows) {
   std::string out = "Table 1: dropped poses recovered by v0, v1, v2 (FPFL)\n\n" + RecoveryText(rows) +
                     "\nTable 2: thresholds chosen from the sample, and what FPFL keeps (the paper's in brackets)\n\n" +
                     ThresholdsText(rows) + "\nTable 3: times; APAL: solving and the covariances of every step\n\n" +
-                    TimesText(rows) + "\nTable 4: errors; RFPFL: mean of random runs\n\n" + ErrorsText(rows);
+                    TimesText(rows) + "\nTable 4: errors; RFPFL: mean of random runs\n\n" + ErrorsText(rows) +
+                    "\nTable 5: a map bounded by area; random: mean of maps of its size\n\n" + BoundedText(rows);
   for (const CompactTableRow& row : rows) {
     const int stride = row.fpfl.errors ? row.fpfl.errors->stride : 1;
     if (stride > 1) {
@@ -153,6 +175,8 @@ Json ToJson(const CompactTableRow& row) {
   json["apfl"] = row.apfl ? ToJson(row, *row.apfl) : Json(nullptr);
   json["fpfl"] = ToJson(row, row.fpfl);
   json["rfpfl"] = row.rfpfl ? ToJson(row, *row.rfpfl) : Json(nullptr);
+  json["bounded"] = ToJson(row, row.bounded);
+  json["random"] = row.random ? ToJson(row, *row.random) : Json(nullptr);
   json["time_ratio"] = OrNull(row.TimeRatio());
   json["paper"] = {{"poses_percent", OrNull(row.paper.poses_percent)},
                    {"links_percent", OrNull(row.paper.links_percent)},
