@@ -54,19 +54,27 @@ bool CompactPoseSlam<Pose>::TakeOffer(const Current& current, const RelativePose
   return true;
 }
 
-// Whether the chain that a dropped pose hangs on has served to carry a loop already: in a bounded map, where robots
+// The stretch that the one which starts here hangs on, where a link to a dropped pose starts it; -1 at a kept pose.
+template <class Pose>
+int CompactPoseSlam<Pose>::StretchBefore(int stretch) const {
+  return history_[At(history_[At(stretch)].parent)].stretch;
+}
+
+// Whether a chain that a dropped pose hangs on has served to carry a loop already: in a bounded map, where robots
 // pass again and again, no measurement counts twice.
 template <class Pose>
 bool CompactPoseSlam<Pose>::IsSpent(PoseId dropped) const {
-  const int stretch = Find(dropped).stretch;
-  return options_.strategy == Strategy::kBounded && stretch >= 0 && history_[At(stretch)].carried;
+  if (options_.strategy != Strategy::kBounded) return false;
+  for (int s = Find(dropped).stretch; s >= 0; s = StretchBefore(s)) {
+    if (history_[At(s)].carried) return true;
+  }
+  return false;
 }
 
 template <class Pose>
 void CompactPoseSlam<Pose>::Spend(const Offer& offer) {
   if (!offer.carried_from) return;
-  const int stretch = Find(*offer.carried_from).stretch;
-  if (stretch >= 0) history_[At(stretch)].carried = true;
+  for (int s = Find(*offer.carried_from).stretch; s >= 0; s = StretchBefore(s)) history_[At(s)].carried = true;
 }
 
 template <class Pose>
@@ -240,7 +248,8 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated> 
     }
     if (best == nullptr) break;
     best->record.tried = true;
-    ++decision.registrations_tried;
+    const bool is_registered = best->ask.offer >= 0 && !current.input->loops;  // and counted, before it came here
+    if (!is_registered) ++decision.registrations_tried;
     const std::optional<RelativePoseFactor<Pose>> link =
         best->ask.offer >= 0 ? std::optional<RelativePoseFactor<Pose>>(current.offers[At(best->ask.offer)].link)
                              : Register(registration, best->record.id, current.input->id);
@@ -341,6 +350,7 @@ bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>& failed, Pose
 
 #define TERSE_INSTANTIATE(Pose)                                                                                       \
   template void RecordCandidates<Pose>(std::vector<Candidate>, const CompactOptions<Pose>&, Decision&);               \
+  template int CompactPoseSlam<Pose>::StretchBefore(int) const;                                                       \
   template bool CompactPoseSlam<Pose>::IsSpent(PoseId) const;                                                         \
   template void CompactPoseSlam<Pose>::Spend(const Offer&);                                                           \
   template bool CompactPoseSlam<Pose>::IsBelieved(const Current*, const UncertainPose<Pose>&,                         \

@@ -203,6 +203,7 @@ class CompactPoseSlam {
   RelativePoseFactor<Pose> Carry(const RelativePoseFactor<Pose>& link, const Seen* from, const Seen* to) const;
   // compact_loops.cpp
   void TakeOffers(Current& current) const;
+  int StretchBefore(int stretch) const;
   bool IsSpent(PoseId dropped) const;
   void Spend(const Offer& offer);
   bool TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
