@@ -164,7 +164,9 @@ void BindCompactRun(py::module_& module) {
       "as the command does: thresholds from a sample of the graph, and information that nobody estimated and that the "
       "residuals contradict is scaled first (calibrate_information).\n"
       "options: CompactOptions, taken as they are, and the information too. strategy, if there are no options: 'fpfl' "
-      "(few poses, few links; the default), 'apfl' (all poses, few links) or 'apal' (all).\n"
+      "(few poses, few links; the default), 'apfl' (all poses, few links), 'apal' (all) or 'bounded' (as many as the "
+      "area "
+      "needs, however often the robot comes back).\n"
       "progress: called with (done, total) after every pose.\n"
       "ValueError if the graph is empty or not connected. Without the GIL; Ctrl-C works.");
 }

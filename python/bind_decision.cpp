@@ -40,26 +40,56 @@ void BindCandidate(py::module_& module) {
       .def_property_readonly(
           "factor_id", [](const Candidate& c) { return ValueOf(c.factor); },
           "Of the link if it was accepted, else None; remove_link takes it.")
+      .def_readonly("anchors", &Candidate::anchors,
+                    "Strategy 'bounded': the chain starts anew with this link, which is no factor of the map.")
+      .def_readonly("composed", &Candidate::composed,
+                    "Strategy 'bounded': the link is part of an edge between kept poses (Decision.edges).")
       .def("__repr__",
            [](const Candidate& c) {
-             const std::string verdict = c.accepted ? ", accepted" : c.outlier ? ", refused" : c.tried ? ", tried" : "";
+             const std::string verdict = c.accepted   ? ", accepted"
+                                         : c.anchors  ? ", anchors"
+                                         : c.composed ? ", composed"
+                                         : c.outlier  ? ", refused"
+                                         : c.tried    ? ", tried"
+                                                      : "";
              return "<terse.Candidate " + std::to_string(c.id.value) + ": gain " +
                     SixDigits(c.measured_gain.value_or(c.gain)) + " nats" + verdict + ">";
            })
       .def(PickleOf<Candidate>("pickle Candidate"));
 }
 
+void BindComposedEdge(py::module_& module) {
+  py::class_<ComposedEdge>(
+      module, "ComposedEdge",
+      "A measurement between kept poses, composed of links of a pose that is not kept (strategy 'bounded').")
+      .def_property_readonly(
+          "id", [](const ComposedEdge& e) { return e.id.value; }, "remove_link takes it; below -1.")
+      .def_property_readonly(
+          "from_id", [](const ComposedEdge& e) { return e.from.value; }, "A kept pose.")
+      .def_property_readonly(
+          "to_id", [](const ComposedEdge& e) { return e.to.value; }, "Another one.")
+      .def_readonly("gain", &ComposedEdge::gain, "About the map, nats.")
+      .def_readonly("fused", &ComposedEdge::fused, "Whether it fused with an edge that joined the two already.")
+      .def("__repr__",
+           [](const ComposedEdge& e) {
+             return "<terse.ComposedEdge " + std::to_string(e.from.value) + " -> " + std::to_string(e.to.value) +
+                    ": gain " + SixDigits(e.gain) + " nats" + (e.fused ? ", fused>" : ">");
+           })
+      .def(PickleOf<ComposedEdge>("pickle ComposedEdge"));
+}
+
 }  // namespace
 
 void BindDecision(py::module_& module) {
   BindCandidate(module);
+  BindComposedEdge(module);
   py::class_<Decision>(module, "Decision", "What was decided on a pose, and on what grounds.")
       .def_property_readonly(
           "pose_id", [](const Decision& d) { return d.id.value; }, "The pose.")
       .def_property_readonly("kept", &Decision::Kept, "Whether it is in the map.")
       .def_property_readonly(
           "verdict", [](const Decision& d) { return Name(d.verdict); },
-          "Why: first, all_kept, loop_closed, prior, nothing_in_range, informative, redundant or drawn.")
+          "Why: first, all_kept, loop_closed, prior, nothing_in_range, informative, redundant, drawn or anchored.")
       .def_readonly("pose_gain", &Decision::pose_gain,
                     "Least gain of a possible link, nats; None if nothing was in range.")
       .def_readonly("registrations_tried", &Decision::registrations_tried, "How often the registration was asked.")
@@ -77,6 +107,14 @@ void BindDecision(py::module_& module) {
             return ids;
           },
           "Ids of poses dropped earlier that are kept from now on, because a loop of this pose leads to them.")
+      .def_property_readonly(
+          "anchored_to",
+          [](const Decision& d) {
+            return d.anchored_to ? std::optional<std::int64_t>(d.anchored_to->value) : std::nullopt;
+          },
+          "Strategy 'bounded': the kept pose at which the robot was found again and the chain starts anew, else None.")
+      .def_readonly("edges", &Decision::edges,
+                    "Strategy 'bounded': list of ComposedEdge, which the pose's links made. A copy.")
       .def("__repr__",
            [](const Decision& d) {
              return "<terse.Decision: pose " + std::to_string(d.id.value) + " " + Name(d.verdict) + ", " +

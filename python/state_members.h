@@ -25,17 +25,23 @@ void Serialize(Archive& archive, StepReport& report) {
 template <class Archive>
 void Serialize(Archive& archive, Candidate& candidate) {
   auto& [id, probability, gain, measured, tried, measured_gain, innovation, outlier, supported, accepted, factor,
-         carried_from] = candidate;
+         carried_from, anchors, composed] = candidate;
   archive(id, probability, gain, measured, tried, measured_gain, innovation, outlier, supported, accepted, factor,
-          carried_from);
+          carried_from, anchors, composed);
+}
+
+template <class Archive>
+void Serialize(Archive& archive, ComposedEdge& edge) {
+  auto& [id, from, to, gain, fused] = edge;
+  archive(id, from, to, gain, fused);
 }
 
 template <class Archive>
 void Serialize(Archive& archive, Decision& decision) {
   auto& [id, candidates, candidates_found, verdict, pose_gain, registrations_tried, links_accepted, links_refused,
-         revived, update] = decision;
+         revived, anchored_to, edges, update] = decision;
   archive(id, candidates, candidates_found, verdict, pose_gain, registrations_tried, links_accepted, links_refused,
-          revived, update);
+          revived, anchored_to, edges, update);
 }
 
 template <class Archive>
@@ -155,12 +161,18 @@ template <class Archive, class Pose>
 void Serialize(Archive& archive, CompactMap<Pose>& map) {
   auto& [poses, edges, priors, fixed, refused, failed] = map;
   archive.Each(poses, [&archive](auto& seen) {
-    auto& [id, kept, T_world_body, T_world_body_when_seen, previous, base, T_base_pose, next_kept, T_base_next] = seen;
-    archive(id, kept, T_world_body, T_world_body_when_seen, previous, base, T_base_pose, next_kept, T_base_next);
+    auto& [id, kept, T_world_body, T_world_body_when_seen, previous, base, T_base_pose, next_kept, T_base_next,
+           anchored_to, ended_by, carried] = seen;
+    archive(id, kept, T_world_body, T_world_body_when_seen, previous, base, T_base_pose, next_kept, T_base_next,
+            anchored_to, ended_by, carried);
   });
   archive.Each(edges, [&archive](auto& edge) {
-    auto& [factor, measured, is_loop, added_at, gain, composed_of] = edge;
+    auto& [factor, measured, is_loop, added_at, gain, composed_of, parts] = edge;
     archive(factor, measured, is_loop, added_at, gain, composed_of);
+    archive.Each(parts, [&archive](auto& part) {
+      auto& [id, part_added_at, part_gain, links, T_from_to, measurements] = part;
+      archive(id, part_added_at, part_gain, links, T_from_to, measurements);
+    });
   });
   archive.Each(priors, [&archive](auto& prior) {
     auto& [factor, measured] = prior;

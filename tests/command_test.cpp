@@ -220,6 +220,23 @@ TEST_F(Command, GenerateMakesReadableGraphs) {
   }
 }
 
+TEST_F(Command, GenerateStaysInAnArea) {
+  Succeed("generate manhattan --area 6x4 --poses 500 --output g.g2o --ground-truth g.tum");
+  EXPECT_EQ(Json("info g.g2o --json")["poses"], 500);
+  std::istringstream truth(Read("g.tum"));
+  for (std::string line; std::getline(truth, line);) {
+    std::istringstream words(line);
+    double id, x, y;
+    words >> id >> x >> y;
+    EXPECT_TRUE(std::abs(x) <= 3 && std::abs(y) <= 2) << line;
+  }
+  for (const std::string area : {"6", "6x", "x4", "0x4", "6x-4", "6x4x2", "6.5x4", "axb", "6 x4"}) {
+    ExpectFailure("generate manhattan --area '" + area + "'", 2, "'" + area + "' is no area");
+  }
+  ExpectFailure("generate sphere --area 6x4", 1, "only the scene manhattan has an area");
+  ExpectFailure("generate --from g.g2o --outliers 10 --area 6x4", 2, "excludes");
+}
+
 std::vector<std::string> Lines(const std::string& text) {
   std::vector<std::string> lines;
   std::istringstream stream(text);

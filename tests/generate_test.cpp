@@ -155,6 +155,41 @@ TEST(Generate, LapsLengthenThePath) {
   EXPECT_LT((three.poses.back().Translation() - three.poses.front().Translation()).norm(), 1e-6) << "whole laps close";
 }
 
+// Of the earlier poses in range, by looking at all of them: the 80 oldest and the 80 newest.
+TEST(Generate, ManyLapsKeepTheOldestAndTheNewestLinks) {
+  GenerateOptions options;
+  options.scene = Scene::kEllipseN;
+  options.laps = 40;
+  std::vector<SE3> poses;
+  std::map<long, std::vector<long>> links;
+  constexpr long kEvery = 61;
+  GenerateSink<SE3> sink;
+  sink.pose = [&](PoseId, const SE3& T) { poses.push_back(T); };
+  sink.edge = [&](const RelativePoseFactor<SE3>& edge) {
+    const long to = edge.to.value;
+    if (to % kEvery == 0 && edge.from.value < to - 1) links[to].push_back(edge.from.value);
+  };
+  Generate(options, sink);
+  long full = 0;
+  for (long k = kEvery; k < static_cast<long>(poses.size()); k += kEvery) {
+    const SE3& T_k = poses[static_cast<std::size_t>(k)];
+    std::vector<long> expected;
+    for (long j = 0; j <= k - 5; ++j) {
+      const SE3& T_j = poses[static_cast<std::size_t>(j)];
+      const Vector<3> z(0, 0, 1), a = T_j.Rotation() * z, b = T_k.Rotation() * z;
+      const bool in_range = (T_j.Translation() - T_k.Translation()).norm() < 3;
+      if (in_range && std::atan2(a.cross(b).norm(), a.dot(b)) < 0.2) expected.push_back(j);
+    }
+    if (expected.size() > 160) {
+      ++full;
+      expected.erase(expected.begin() + 80, expected.end() - 80);
+    }
+    EXPECT_EQ(links[k], expected) << "pose " << k;
+  }
+  EXPECT_GT(full, 50) << "the cap is met";
+  EXPECT_LT(full, static_cast<long>(poses.size()) / kEvery) << "and at first it is not";
+}
+
 template <class Pose>
 void ExpectOdometryAtEveryPose(const Data<Pose>& data) {
   std::size_t next = 0;
@@ -266,6 +301,54 @@ TEST(Generate, ManhattanWalksOnTheGrid) {
   for (const auto& [id, count] : links) EXPECT_LE(count, 2) << "pose " << id;
 }
 
+// The robot stays, comes everywhere, and each pose has at most the oldest and the newest link in range.
+TEST(Generate, AManhattanOfAnAreaIsNotLeft) {
+  GenerateOptions options;
+  options.scene = Scene::kManhattan;
+  options.poses = 6000;
+  options.area_m = {{12, 7}};
+  const auto data = Collect<SE2>(options);
+  ASSERT_EQ(data.poses.size(), 6000u);
+  std::map<std::pair<double, double>, int> visits;
+  for (std::size_t k = 0; k < data.poses.size(); ++k) {
+    const auto& p = data.poses[k].Translation();
+    ++visits[{p.x(), p.y()}];
+    ASSERT_EQ(p.x(), std::round(p.x()));
+    ASSERT_EQ(p.y(), std::round(p.y()));
+    if (k == 0) continue;
+    ASSERT_EQ((p - data.poses[k - 1].Translation()).norm(), 1);
+  }
+  EXPECT_EQ(visits.size(), 13u * 8u) << "corners of 12 x 7 blocks";
+  EXPECT_EQ(visits.rbegin()->first.first - visits.begin()->first.first, 12);
+  ExpectOdometryAtEveryPose(data);
+  ExpectNoiseAsStated(data);
+  std::map<long, std::vector<long>> links;
+  for (const auto& edge : data.edges) {
+    if (edge.to.value - edge.from.value > 1) links[edge.to.value].push_back(edge.from.value);
+  }
+  for (long k = 0; k < 6000; k += 7) {
+    std::vector<long> expected;
+    for (long j = 0; j <= k - 10; ++j) {
+      const double distance = (data.poses[static_cast<std::size_t>(j)].Translation() -
+                               data.poses[static_cast<std::size_t>(k)].Translation())
+                                  .norm();
+      if (distance < 1.1) expected.push_back(j);
+    }
+    if (expected.size() > 2) expected.erase(expected.begin() + 1, expected.end() - 1);
+    EXPECT_EQ(links[k], expected) << "pose " << k;
+  }
+}
+
+TEST(Generate, TheSmallestAreaIsOneBlock) {
+  GenerateOptions options;
+  options.scene = Scene::kManhattan;
+  options.poses = 50;
+  options.area_m = {{1, 1}};
+  for (const SE2& T : Collect<SE2>(options).poses) {
+    EXPECT_TRUE(T.Translation().minCoeff() >= 0 && T.Translation().maxCoeff() <= 1);
+  }
+}
+
 TEST(Generate, ALargeManhattanStreams) {
   GenerateOptions options;
   options.scene = Scene::kManhattan;
@@ -294,6 +377,12 @@ TEST(Generate, RefusesWhatItCannotDo) {
   options.poses = 0;
   options.laps = 0;
   EXPECT_THROW(Generate(options, GenerateSink<SE3>()), std::invalid_argument);
+  options.laps = 1;
+  options.area_m = {{5, 5}};
+  EXPECT_THROW(Generate(options, GenerateSink<SE3>()), std::invalid_argument);
+  options.scene = Scene::kManhattan;
+  options.area_m = {{5, 0}};
+  EXPECT_THROW(Generate(options, GenerateSink<SE2>()), std::invalid_argument);
   EXPECT_FALSE(SceneFromName("circle"));
   EXPECT_EQ(SceneFromName("ellipse-n"), Scene::kEllipseN);
 }

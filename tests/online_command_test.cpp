@@ -299,6 +299,45 @@ TEST_F(OnlineCommand, ReadsThresholds) {
   ExpectFailure("online --thresholds good.json --dimension 3 < input", 1, "good.json: thresholds for 2D");
 }
 
+// Decisions of the strategy bounded say where the robot was found again and what its links made, as those of compact
+// do.
+TEST_F(OnlineCommand, TellsWhereTheRobotWasFoundAgain) {
+  Succeed("generate ellipse-n --laps 3 --output laps.g2o");
+  Succeed("compact laps.g2o --strategy bounded --output whole --calibrate-information off --quiet");
+  const std::string online = "online --strategy bounded --thresholds whole/thresholds.json ";
+  const auto answers = ParseLines(Succeed(online + "< laps.g2o").out);
+  const auto decisions = ParseLines(Read("whole/decisions.jsonl"));
+  ASSERT_EQ(answers.size(), decisions.size());
+  int anchored = 0, fused = 0, with_flags = 0;
+  std::string edge;
+  for (std::size_t k = 0; k < answers.size(); ++k) {
+    const json &answer = answers[k], &decision = decisions[k];
+    EXPECT_EQ(answer["verdict"], decision["verdict"]);
+    EXPECT_EQ(answer["kept"], decision["kept"]);
+    EXPECT_EQ(answer.value("anchored_to", json()), decision.value("anchored_to", json()));
+    EXPECT_EQ(answer.contains("anchored_to"), answer["verdict"] == "anchored");
+    anchored += answer["verdict"] == "anchored";
+    const json edges = answer.value("edges", json::array()), expected = decision.value("edges", json::array());
+    ASSERT_EQ(edges.size(), expected.size());
+    for (std::size_t e = 0; e < edges.size(); ++e) {
+      EXPECT_EQ(edges[e]["factor"], expected[e]["id"]);
+      for (const char* key : {"from", "to", "fused"}) EXPECT_EQ(edges[e][key], expected[e][key]);
+      EXPECT_EQ(edges[e]["gain"], expected[e]["gain_nats"]);
+      fused += edges[e]["fused"].get<bool>();
+      edge = edges[e]["factor"].dump();
+    }
+    for (const json& link : answer["links"]) with_flags += link.contains("anchors") || link.contains("composed");
+  }
+  EXPECT_GT(anchored, 100);
+  EXPECT_GT(fused, 0);
+  EXPECT_GT(with_flags, anchored);
+  ASSERT_FALSE(edge.empty());
+  Write("input", Read("laps.g2o") + "FLUSH\nREMOVE " + edge + "\nREMOVE " + edge + "\n");
+  const auto after = ParseLines(Succeed(online + "< input").out);
+  ASSERT_EQ(after.size(), answers.size() + 1) << "the second time it is not there";
+  EXPECT_NE(after.back()["error"].get<std::string>().find("factor " + edge + " is not a link"), std::string::npos);
+}
+
 // The library's run over the same lines with kOptions.
 class SameRun {
  public:

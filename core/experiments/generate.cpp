@@ -26,44 +26,45 @@ Vector<2> ViewDirection(const SE2& T_world_body) { return T_world_body.Rotation(
 Vector<3> ViewDirection(const SE3& T_world_body) { return T_world_body.Rotation() * Vector<3>(0, 0, 1); }
 
 template <class Pose>
-std::size_t LinkFinder<Pose>::CellHash::operator()(const Cell& cell) const {
+std::size_t LinkFinder<Pose>::IndexHash::operator()(const Index& index) const {
   std::uint64_t hash = 0;
-  for (const long index : cell) {
-    hash = (hash ^ static_cast<std::uint64_t>(index)) * 0x9E3779B97F4A7C15u;
+  for (const long value : index) {
+    hash = (hash ^ static_cast<std::uint64_t>(value)) * 0x9E3779B97F4A7C15u;
     hash ^= hash >> 32;
   }
   return static_cast<std::size_t>(hash);
 }
 
 template <class Pose>
-typename LinkFinder<Pose>::Cell LinkFinder<Pose>::CellOf(const Pose& pose) const {
-  Cell cell{0, 0, 0};
+typename LinkFinder<Pose>::Index LinkFinder<Pose>::IndexOf(const Pose& pose) const {
+  Index index{0, 0, 0};
   for (int d = 0; d < Pose::kDim; ++d) {
-    cell[static_cast<std::size_t>(d)] = static_cast<long>(std::floor(pose.Translation()[d] / rule_.radius_m));
+    index[static_cast<std::size_t>(d)] = static_cast<long>(std::floor(pose.Translation()[d] / rule_.radius_m));
   }
-  return cell;
+  return index;
 }
 
 template <class Pose>
-void LinkFinder<Pose>::CollectNear(const std::vector<Pose>& poses, std::vector<long>& found) const {
-  const Pose& pose = poses.back();
-  const long last = static_cast<long>(poses.size()) - 1 - rule_.min_gap;
-  const auto view = ViewDirection(pose);
+void LinkFinder<Pose>::CollectNear(const Seen& pose, std::vector<Seen>& found) const {
+  const long last = pose.pose - rule_.min_gap;
+  const auto view = ViewDirection(pose.T_world_body);
   // |a - b| = 2 sin(angle / 2): exact for small angles, where the arc cosine is not.
   const double max_chord = 2 * std::sin(std::min(rule_.max_view_angle_rad, 3.141592653589793) / 2);
   const bool any_view = rule_.max_view_angle_rad > 3.141592653589793;
-  const Cell center = CellOf(pose);
+  const Index center = IndexOf(pose.T_world_body);
   const long depth = Pose::kDim == 3 ? 1 : 0;
   for (long dx = -1; dx <= 1; ++dx) {
     for (long dy = -1; dy <= 1; ++dy) {
       for (long dz = -depth; dz <= depth; ++dz) {
-        const auto cell = newest_.find({center[0] + dx, center[1] + dy, center[2] + dz});
-        if (cell == newest_.end()) continue;
-        for (long j = cell->second; j >= 0; j = previous_[static_cast<std::size_t>(j)]) {
-          const Pose& other = poses[static_cast<std::size_t>(j)];
-          if (j <= last && (other.Translation() - pose.Translation()).norm() < rule_.radius_m &&
-              (any_view || (ViewDirection(other) - view).norm() < max_chord)) {
-            found.push_back(j);
+        const auto cell = cells_.find({center[0] + dx, center[1] + dy, center[2] + dz});
+        if (cell == cells_.end()) continue;
+        for (const auto* list : {&cell->second.oldest, &cell->second.newest}) {
+          for (const Seen& other : *list) {
+            const Pose& T = other.T_world_body;
+            if (other.pose <= last && (T.Translation() - pose.T_world_body.Translation()).norm() < rule_.radius_m &&
+                (any_view || (ViewDirection(T) - view).norm() < max_chord)) {
+              found.push_back(other);
+            }
           }
         }
       }
@@ -72,22 +73,34 @@ void LinkFinder<Pose>::CollectNear(const std::vector<Pose>& poses, std::vector<l
 }
 
 template <class Pose>
-std::vector<long> LinkFinder<Pose>::Next(const std::vector<Pose>& poses) {
-  const long k = static_cast<long>(poses.size()) - 1;
-  std::vector<long> found;
+void LinkFinder<Pose>::Remember(const Seen& pose) {
+  Cell& cell = cells_[IndexOf(pose.T_world_body)];
+  if (cell.oldest.size() < kMostOldest) {
+    cell.oldest.push_back(pose);
+  } else if (cell.newest.size() < kMostNewest) {
+    cell.newest.push_back(pose);
+  } else {
+    cell.newest[cell.next] = pose;
+    cell.next = (cell.next + 1) % kMostNewest;
+  }
+}
+
+template <class Pose>
+std::vector<typename LinkFinder<Pose>::Seen> LinkFinder<Pose>::Next(long k, const Pose& T_world_body) {
+  std::vector<Seen> found;
   for (const long offset : rule_.offsets) {
-    if (offset > 1 && k - offset >= 0) found.push_back(k - offset);
+    if (offset > 1 && k - offset >= 0) found.push_back({k - offset, all_[static_cast<std::size_t>(k - offset)]});
   }
+  if (!rule_.offsets.empty()) all_.push_back(T_world_body);
   if (rule_.radius_m > 0) {
-    CollectNear(poses, found);
-    const auto [cell, is_new] = newest_.emplace(CellOf(poses.back()), k);
-    previous_.push_back(is_new ? -1 : cell->second);
-    cell->second = k;
+    CollectNear({k, T_world_body}, found);
+    Remember({k, T_world_body});
   }
-  std::sort(found.begin(), found.end());
-  found.erase(std::unique(found.begin(), found.end()), found.end());
+  std::sort(found.begin(), found.end(), [](const Seen& a, const Seen& b) { return a.pose < b.pose; });
+  const auto is_same = [](const Seen& a, const Seen& b) { return a.pose == b.pose; };
+  found.erase(std::unique(found.begin(), found.end(), is_same), found.end());
   if (rule_.max_links > 0 && static_cast<long>(found.size()) > rule_.max_links) {
-    found.erase(found.begin(), found.end() - rule_.max_links);
+    found.erase(found.begin() + rule_.oldest_links, found.end() - (rule_.max_links - rule_.oldest_links));
   }
   return found;
 }
@@ -113,17 +126,17 @@ ScenePlan<Pose> Plan(const GenerateOptions& options, Random& random) {
 }
 
 template <class Pose>
-RelativePoseFactor<Pose> Measure(const ScenePlan<Pose>& plan, const std::vector<Pose>& poses, long from, long to,
-                                 Random& random) {
-  const Pose T_from_to = poses[static_cast<std::size_t>(from)].Inverse() * poses[static_cast<std::size_t>(to)];
+RelativePoseFactor<Pose> Measure(const ScenePlan<Pose>& plan, const typename LinkFinder<Pose>::Seen& from,
+                                 const typename LinkFinder<Pose>::Seen& to, Random& random) {
+  const Pose T_from_to = from.T_world_body.Inverse() * to.T_world_body;
   typename Pose::Tangent sigma = plan.sigma(T_from_to), noise;
   for (int d = 0; d < Pose::kDof; ++d) {
     sigma[d] = Rounded(sigma[d]);
     noise[d] = sigma[d] * random.Normal();
   }
   RelativePoseFactor<Pose> edge;
-  edge.from = {from};
-  edge.to = {to};
+  edge.from = {from.pose};
+  edge.to = {to.pose};
   // The residual at the truth, Local(Z^-1 T_from_to), is then the noise itself.
   edge.T_from_to = Rounded(T_from_to * Pose().Retract(noise).Inverse());
   edge.information.setZero();
@@ -157,16 +170,17 @@ void GenerateTrue(const GenerateOptions& options, const Arrive<Pose>& arrive) {
   internal::Random random(options.seed);
   const internal::ScenePlan<Pose> plan = internal::Plan<Pose>(options, random);
   internal::LinkFinder<Pose> finder(plan.links);
-  std::vector<Pose> poses;
-  poses.reserve(static_cast<std::size_t>(plan.poses));
+  typename internal::LinkFinder<Pose>::Seen previous, current;
   std::vector<RelativePoseFactor<Pose>> edges;
   for (long k = 0; k < plan.poses; ++k) {
-    poses.push_back(internal::Rounded(plan.T_world_body(k)));
-    const std::vector<long> links = finder.Next(poses);
+    current = {k, internal::Rounded(plan.T_world_body(k))};
     edges.clear();
-    if (k > 0) edges.push_back(internal::Measure(plan, poses, k - 1, k, random));
-    for (const long j : links) edges.push_back(internal::Measure(plan, poses, j, k, random));
-    arrive({k}, poses.back(), edges);
+    if (k > 0) edges.push_back(internal::Measure(plan, previous, current, random));
+    for (const auto& other : finder.Next(k, current.T_world_body)) {
+      edges.push_back(internal::Measure(plan, other, current, random));
+    }
+    arrive({k}, current.T_world_body, edges);
+    previous = current;
   }
 }
 
@@ -178,6 +192,9 @@ void Generate(const GenerateOptions& options, const GenerateSink<Pose>& sink) {
     throw std::invalid_argument(IsPlanar(options.scene) ? "this scene is planar" : "this scene is three-dimensional");
   }
   if (options.poses < 0 || options.poses == 1) throw std::invalid_argument("a scene needs at least two poses");
+  if (options.area_m && options.scene != Scene::kManhattan) {
+    throw std::invalid_argument("only the scene manhattan has an area");
+  }
   using Edges = std::vector<RelativePoseFactor<Pose>>;
   LoopSurvey<Pose> survey(options.seed);
   if (options.wrong_loop_percent != 0) {
@@ -189,6 +206,7 @@ void Generate(const GenerateOptions& options, const GenerateSink<Pose>& sink) {
     for (const auto& edge : edges) {
       if (sink.edge) sink.edge(edge);
     }
+    if (options.wrong_loop_percent == 0) return;  // nor are the poses held
     for (const auto& edge : wrong_loops.Arrive(id, T_world_body, edges)) {
       if (sink.wrong_loop) sink.wrong_loop(edge);
     }

@@ -93,6 +93,9 @@ ScenePlan<SE3> EllipsePlan(const std::function<CurvePoint(double)>& curve, doubl
   plan.links.radius_m = 3;
   plan.links.max_view_angle_rad = 0.2;
   plan.links.min_gap = 5;
+  // Ten laps have 139 at most. Of more a robot would not match them all: those of its map, and those that are new.
+  plan.links.max_links = 160;
+  plan.links.oldest_links = 80;
   return plan;
 }
 
@@ -196,7 +199,8 @@ ScenePlan<SE3> PlanGarage(const GenerateOptions& options) {
   return plan;
 }
 
-// Unit steps on a grid, with a quarter turn now and then, in a square whose area grows with the number of poses.
+// Unit steps on a grid, with a quarter turn now and then, in a square whose area grows with the number of poses, or in
+// a rectangle that stays.
 ScenePlan<SE2> PlanManhattan(const GenerateOptions& options, Random& random) {
   static constexpr long kDx[] = {1, 0, -1, 0}, kDy[] = {0, 1, 0, -1};
   struct Walker {
@@ -205,7 +209,16 @@ ScenePlan<SE2> PlanManhattan(const GenerateOptions& options, Random& random) {
   ScenePlan<SE2> plan;
   plan.poses = options.poses != 0 ? options.poses : 3500;
   const long half_side = std::max(3L, std::lround(0.35 * std::sqrt(static_cast<double>(plan.poses))));
-  plan.T_world_body = [walker = Walker(), half_side, &random](long k) mutable {
+  std::array<long, 2> low{-half_side, -half_side}, high{half_side, half_side};
+  if (options.area_m) {
+    for (std::size_t d = 0; d < 2; ++d) {
+      const long side = (*options.area_m)[d];
+      if (side < 1) throw std::invalid_argument("the sides of the area must be at least 1 m");
+      low[d] = -(side / 2);
+      high[d] = low[d] + side;
+    }
+  }
+  plan.T_world_body = [walker = Walker(), low, high, &random](long k) mutable {
     if (k > 0) {
       Walker next;
       do {
@@ -213,7 +226,7 @@ ScenePlan<SE2> PlanManhattan(const GenerateOptions& options, Random& random) {
         next.heading = (walker.heading + (choice < 0.25 ? 1 : choice < 0.5 ? 3 : 0)) % 4;
         next.x = walker.x + kDx[next.heading];
         next.y = walker.y + kDy[next.heading];
-      } while (std::max(std::abs(next.x), std::abs(next.y)) > half_side);
+      } while (next.x < low[0] || next.x > high[0] || next.y < low[1] || next.y > high[1]);
       walker = next;
     }
     return SE2(static_cast<double>(walker.x), static_cast<double>(walker.y),
@@ -223,6 +236,8 @@ ScenePlan<SE2> PlanManhattan(const GenerateOptions& options, Random& random) {
   plan.links.radius_m = 1.1;
   plan.links.min_gap = 10;
   plan.links.max_links = 2;
+  // A robot that comes back for ever matches against its map.
+  if (options.area_m) plan.links.oldest_links = 1;
   return plan;
 }
 

@@ -25,7 +25,8 @@ struct LinkRule {
   double radius_m = 0;             // and, if positive, every pose closer than this
   double max_view_angle_rad = 10;  // whose view direction differs by less than this
   long min_gap = 2;                // at least so many poses before k
-  long max_links = 0;              // the newest so many; 0: all
+  long max_links = 0;              // so many; 0: all
+  long oldest_links = 0;           // if there are more: so many oldest ones, and of the others the newest
 };
 
 template <class Pose>
@@ -48,25 +49,38 @@ ScenePlan<SE3> PlanGarage(const GenerateOptions& options);
 Vector<2> ViewDirection(const SE2& T_world_body);
 Vector<3> ViewDirection(const SE3& T_world_body);
 
-// Earlier poses near a new one: a hash of cells, each the head of a chain through `previous_`.
+// Earlier poses near a new one: a hash of cells. A cell holds its oldest and its newest poses, so many of each that no
+// scene's own number of poses or ten laps exceed them: neither memory nor the time of a pose grow with how often the
+// robot has been there.
 template <class Pose>
 class LinkFinder {
  public:
+  struct Seen {
+    long pose = 0;
+    Pose T_world_body;
+  };
+
   explicit LinkFinder(const LinkRule& rule) : rule_(rule) {}
-  // Links of pose k = poses.size() - 1, oldest first; then k is in the hash for those to come.
-  std::vector<long> Next(const std::vector<Pose>& poses);
+  // Links of pose k, oldest first; then k is in the hash for those to come. Called once for each k, in order.
+  std::vector<Seen> Next(long k, const Pose& T_world_body);
 
  private:
-  using Cell = std::array<long, 3>;
-  struct CellHash {
-    std::size_t operator()(const Cell& cell) const;
+  static constexpr std::size_t kMostOldest = 160, kMostNewest = 160;
+  using Index = std::array<long, 3>;
+  struct IndexHash {
+    std::size_t operator()(const Index& index) const;
   };
-  Cell CellOf(const Pose& pose) const;
-  void CollectNear(const std::vector<Pose>& poses, std::vector<long>& found) const;
+  struct Cell {
+    std::vector<Seen> oldest, newest;  // `newest` is a ring once it is full
+    std::size_t next = 0;              // its place for the pose to come
+  };
+  Index IndexOf(const Pose& pose) const;
+  void CollectNear(const Seen& pose, std::vector<Seen>& found) const;
+  void Remember(const Seen& pose);
 
   LinkRule rule_;
-  std::unordered_map<Cell, long, CellHash> newest_;
-  std::vector<long> previous_;  // the next older pose in the same cell, or -1
+  std::unordered_map<Index, Cell, IndexHash> cells_;
+  std::vector<Pose> all_;  // if there are offsets, which lead to any
 };
 
 }  // namespace terse::internal

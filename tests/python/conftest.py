@@ -37,8 +37,10 @@ def command():
     return run
 
 
-def square(laps=2, seed=1):
-    """A noisy drive round a square in the plane as a graph, with links to the lap before; and its true poses."""
+def square(laps=2, seed=1, offsets=(40,), every=3):
+    """A noisy drive round a square in the plane as a graph, with links to the lap before; and its true poses.
+
+    offsets, every: each such pose has links to those so many poses before it."""
     random = np.random.default_rng(seed)
     sigma = np.array([0.05, 0.05, 0.01])
     truth = [np.zeros(3)]
@@ -50,7 +52,9 @@ def square(laps=2, seed=1):
         T = np.linalg.inv(terse.to_matrices(truth[a])) @ terse.to_matrices(truth[b])
         return np.array([T[0, 2], T[1, 2], np.arctan2(T[1, 0], T[0, 0])]) + sigma * random.standard_normal(3)
 
-    pairs = [(k - 1, k) for k in range(1, len(truth))] + [(k - 40, k) for k in range(40, len(truth), 3)]
+    pairs = [(k - 1, k) for k in range(1, len(truth))] + [
+        (k - offset, k) for k in range(min(offsets), len(truth), every) for offset in offsets if k >= offset
+    ]
     graph = terse.PoseGraph(2)
     graph.add_poses(np.arange(len(truth)))
     graph.add_edges(*np.array(pairs).T, np.array([measure(a, b) for a, b in pairs]), covariance=sigma**2)

@@ -1,3 +1,5 @@
+import pickle
+
 import numpy as np
 import pytest
 
@@ -39,7 +41,7 @@ def test_against_the_command(command, ellipse, tmp_path):
     np.testing.assert_allclose(covariances, run.covariances, rtol=1e-9, atol=1e-15)
 
 
-@pytest.mark.parametrize("strategy", ["fpfl", "apfl", "apal"])
+@pytest.mark.parametrize("strategy", ["fpfl", "apfl", "apal", "bounded"])
 def test_one_call_against_the_command(command, ellipse, tmp_path, strategy):
     path = tmp_path / "ellipse.g2o"
     terse.write_graph(ellipse, path)
@@ -62,6 +64,36 @@ def test_one_call_against_the_command(command, ellipse, tmp_path, strategy):
     np.testing.assert_array_equal(run.trajectory().ids, written.ids)
     assert len(run.step_seconds) == len(graph) and (run.step_seconds >= 0).all()
     assert run.odometry_scale == run.loop_scale == (1, 1)
+
+
+def test_a_bounded_map_says_what_it_made_of_the_links():
+    run = terse.compact(square(6, offsets=(37, 40, 43, 80), every=1)[0], strategy="bounded")
+    kept = set(run.slam.graph().ids.tolist())
+    anchored = [d for d in run.decisions if d.verdict == "anchored"]
+    edges = [edge for d in run.decisions for edge in d.edges]
+    assert len(anchored) > 20 and edges
+    for decision in run.decisions:
+        assert (decision.anchored_to is not None) == (decision.verdict == "anchored")
+        assert sum(c.anchors for c in decision.candidates) == (decision.anchored_to is not None)
+        if decision.edges:
+            assert any(c.composed for c in decision.candidates)
+    assert {d.anchored_to for d in anchored} <= kept
+    assert all(edge.id < -1 and edge.gain > 0 and {edge.from_id, edge.to_id} <= kept for edge in edges)
+    assert len({edge.id for edge in edges}) == len(edges) and any(edge.fused for edge in edges)
+    assert "fused" in repr(next(edge for edge in edges if edge.fused))
+    again = pickle.loads(pickle.dumps(run.decisions))
+    assert [(d.anchored_to, [(e.id, e.gain) for e in d.edges]) for d in again] == [
+        (d.anchored_to, [(e.id, e.gain) for e in d.edges]) for d in run.decisions
+    ]
+    # The map goes on from what it was exported as.
+    exported = pickle.loads(pickle.dumps(run.slam.export()))
+    slam = terse.CompactPoseSlam.restore(exported, run.slam.options)
+    assert slam.poses_kept == run.poses_kept and slam.links_kept == run.links_kept
+    links = slam.links_kept
+    slam.remove_link(edges[-1].id)
+    with pytest.raises(ValueError, match="is not a link"):
+        slam.remove_link(edges[-1].id)
+    assert slam.links_kept <= links
 
 
 def test_one_call_with_options_is_the_run_by_hand(ellipse, thresholds):

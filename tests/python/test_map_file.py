@@ -149,7 +149,7 @@ def test_what_is_wrong_is_said_and_changes_nothing(ellipse, thresholds, tmp_path
     assert unknown.strategy is None
     with pytest.raises(ValueError, match="strategy: None, expected that of the run"):
         terse.write_compact_map(unknown, path)
-    with pytest.raises(ValueError, match="expected one of apal, apfl, fpfl, rfpfl, got 'best'"):
+    with pytest.raises(ValueError, match="expected one of apal, apfl, fpfl, rfpfl, bounded, got 'best'"):
         unknown.strategy = "best"
     assert path.read_text() == text
 

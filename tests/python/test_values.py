@@ -46,10 +46,12 @@ def made(ellipse):
     loose.add_factor(terse.PositionPrior(1, [0, 0], information=[1, 1]))
     (motion, *_) = terse.solve(loose, initial=np.zeros((2, 3))).free_motions
     decision = next(d for d in run.decisions if d.candidates)
+    bounded = terse.compact(square(6, offsets=(37, 40, 43, 80), every=1)[0], strategy="bounded")
     evaluation = terse.evaluate(terse.solve(ellipse).poses, ellipse.poses, kitti=True)
     graph_file = terse.read_graph_file(os.path.join(os.path.dirname(__file__), "..", "..", "data", "ellipse.g2o"))
     replay = terse.GraphReplay(graph)
     return [
+        next(d.edges[0] for d in bounded.decisions if d.edges), bounded.slam.export(),
         graph, solution, solver, run, motion, decision, decision.candidates[0], evaluation, evaluation.ate, graph_file,
         graph.edges(), graph.factor(0), graph_in(2, ellipse), ellipse, run.slam, run.slam.export(), run.trajectory(), growing.update(),
         *graph_in(3, ellipse).priors().values(), *graph_in(2, ellipse).priors().values(),

@@ -316,8 +316,9 @@ void Compact(CompactCommandOptions options) {
 // What to do with which files.
 void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
   AddChoice(command, "--strategy", options.strategy, Choices<Strategy>(),
-            "All poses all links, all poses few links, few poses few links, or as few at random; --continue goes on as "
-            "before")
+            "All poses all links, all poses few links, few poses few links, as few at random, or as many as the area "
+            "needs (bounded: where a link finds the robot in known terrain its chain starts anew at a kept pose); "
+            "--continue goes on as before")
       ->default_str("fpfl");
   command
       .add_option("--continue", options.continued,

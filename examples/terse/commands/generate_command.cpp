@@ -1,3 +1,5 @@
+#include <array>
+#include <charconv>
 #include <cmath>
 #include <iostream>
 #include <memory>
@@ -172,6 +174,31 @@ void AddToGraph(const PoseGraph<Pose>& graph, const GenerateCommandOptions& opti
   outliers.Commit();
 }
 
+// "40x30".
+std::optional<std::array<long, 2>> AreaFromText(const std::string& text) {
+  std::array<long, 2> sides;
+  const char* at = text.data();
+  const char* const end = at + text.size();
+  for (std::size_t d = 0; d < 2; ++d) {
+    const auto [after, error] = std::from_chars(at, end, sides[d]);
+    if (error != std::errc() || sides[d] < 1 || sides[d] > 1000000) return std::nullopt;
+    at = after;
+    if (d == 0 && (at == end || *at++ != 'x')) return std::nullopt;
+  }
+  return at == end ? std::optional(sides) : std::nullopt;
+}
+
+CLI::Option* AddAreaOption(CLI::App& command, std::optional<std::array<long, 2>>& area_m) {
+  return command
+      .add_option_function<std::string>(
+          "--area", [&area_m](const std::string& text) { area_m = AreaFromText(text); },
+          "Of manhattan: never leave a rectangle of W by H metres, blocks of 1 m; --poses may be any number")
+      ->check([](const std::string& text) {
+        return AreaFromText(text) ? "" : "'" + text + "' is no area, expected two numbers of metres such as 40x30";
+      })
+      ->type_name("WxH");
+}
+
 void RunGenerate(GenerateCommandOptions options) {
   CheckOutputPaths({{"--output", options.output},
                     {"--ground-truth", options.ground_truth},
@@ -204,6 +231,7 @@ void AddGenerateCommand(CLI::App& app) {
       command->add_option("--poses", options->generate.poses, "Number of poses instead of the scene's own")
           ->check(CLI::Range(2L, 1000000000L).description(""))
           ->type_name("N");
+  CLI::Option* area = AddAreaOption(*command, options->generate.area_m);
   CLI::Option* laps = command->add_option("--laps", options->generate.laps, "Laps of ellipse-n")
                           ->check(CLI::Range(1, 1000000).description(""))
                           ->type_name("N")
@@ -229,7 +257,7 @@ void AddGenerateCommand(CLI::App& app) {
                        "its edges in online order")
           ->needs(outliers)
           ->type_name("FILE");
-  for (CLI::Option* of_scenes : {scene, poses, laps, ground_truth}) from->excludes(of_scenes);
+  for (CLI::Option* of_scenes : {scene, poses, area, laps, ground_truth}) from->excludes(of_scenes);
   AddReadOptions(*command, options->read);
   command->add_flag("--quiet", options->quiet, "No progress line");
   command->footer(

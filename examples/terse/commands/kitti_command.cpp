@@ -123,8 +123,9 @@ void AddKittiCommand(CLI::App& app) {
       ->required()
       ->type_name("DIR");
   AddChoice(*command, "--strategy", options->strategy,
-            Choices<Strategy>({Strategy::kApal, Strategy::kApfl, Strategy::kFpfl}),
-            "All poses all links, all poses few links, or few poses few links");
+            Choices<Strategy>({Strategy::kApal, Strategy::kApfl, Strategy::kFpfl, Strategy::kBounded}),
+            "All poses all links, all poses few links, few poses few links, or as many as the area needs: where a link "
+            "finds the camera in known terrain its chain starts anew at a kept pose");
   command
       ->add_option("--thresholds", options->thresholds,
                    "A thresholds.json; by default thresholds for a vehicle at ten frames a second")

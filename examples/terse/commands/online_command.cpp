@@ -410,8 +410,9 @@ void AddOnlineCommand(CLI::App& app) {
   AddChoice(*command, "--dimension", options->dimension, {{"2", 2}, {"3", 3}},
             "2D or 3D; by default as the range, or as the first measurement");
   AddChoice(*command, "--strategy", options->strategy,
-            Choices<Strategy>({Strategy::kApal, Strategy::kApfl, Strategy::kFpfl}),
-            "All poses all links, all poses few links, or few poses few links");
+            Choices<Strategy>({Strategy::kApal, Strategy::kApfl, Strategy::kFpfl, Strategy::kBounded}),
+            "All poses all links, all poses few links, few poses few links, or as many as the area needs: where a link "
+            "finds the robot in known terrain its chain starts anew at a kept pose");
   AddThresholdOptions(*command, *options);
   AddRobustOptions(*command, options->robust);
   AddReadOptions(*command, options->read);

@@ -27,6 +27,20 @@ ordered_json LinkJson(const Candidate& c) {
                        {"outlier", c.outlier},
                        {"accepted", c.accepted}};
   if (c.factor) json["factor"] = c.factor->value;
+  if (c.anchors) json["anchors"] = true;
+  if (c.composed) json["composed"] = true;
+  return json;
+}
+
+ordered_json EdgesJson(const std::vector<ComposedEdge>& edges) {
+  ordered_json json = ordered_json::array();
+  for (const ComposedEdge& edge : edges) {
+    json.push_back({{"factor", edge.id.value},
+                    {"from", edge.from.value},
+                    {"to", edge.to.value},
+                    {"gain", edge.gain},
+                    {"fused", edge.fused}});
+  }
   return json;
 }
 
@@ -49,6 +63,8 @@ ordered_json DecisionJson(const Decision& d, const CompactPoseSlam<Pose>& slam) 
                        {"pose_gain", OrNull(d.pose_gain)},
                        {"links", links},
                        {"estimate", Numbers(slam.Estimate(d.id, Recovery::kV2))}};
+  if (d.anchored_to) json["anchored_to"] = d.anchored_to->value;
+  if (!d.edges.empty()) json["edges"] = EdgesJson(d.edges);
   if (d.verdict == PoseVerdict::kPrior) AddUndetermined(slam, json);
   return json;
 }
