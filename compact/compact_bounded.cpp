@@ -101,10 +101,10 @@ void CompactPoseSlam<Pose>::RegisterSightings(Current& current, Decision& decisi
   std::vector<Failed> failed = before;
   const bool is_linked = !current.concatenated;
   while (decision.registrations_tried < options_.max_registrations && sightings.size() < 2) {
-    if (!sightings.empty() && sightings.front().map_gain > options_.thresholds.min_loop_gain) return;
+    if (!sightings.empty() && sightings.front().map_gain > gains_->MinLoopGain()) return;
     Evaluated* best = nullptr;
     for (Evaluated& e : candidates) {
-      if (e.ask.offer >= 0 || e.record.tried || e.record.gain <= options_.thresholds.min_loop_gain) continue;
+      if (e.ask.offer >= 0 || e.record.tried || e.record.gain <= gains_->MinLoopGain()) continue;
       if ((is_linked && e.record.id == current.base) || IsNearFailed(failed, e.record.id)) continue;
       const bool is_second = !sightings.empty();
       if (is_second &&
@@ -159,7 +159,7 @@ void CompactPoseSlam<Pose>::Bound(Current& current, Decision& decision, const Re
   }
   const bool is_kept = current.input->fixed || !current.input->priors.empty();
   const bool tells_map = std::any_of(sightings.begin(), sightings.end(),
-                                     [&](const Sighting& s) { return s.map_gain > options_.thresholds.min_loop_gain; });
+                                     [&](const Sighting& s) { return s.map_gain > gains_->MinLoopGain(); });
   if (is_kept || tells_map) {
     if (!registers) search();
     for (Evaluated& e : candidates) {

@@ -14,8 +14,8 @@ namespace {
 using internal::At;
 using std::size_t;
 
-// Of min_loop_gain: an edge costs less than a pose. And what is worth the work where it costs nothing, nats.
-constexpr double kEdgeGain = 0.1, kLeastFusedGain = 0.01;
+// Worth the work where it costs nothing, nats.
+constexpr double kLeastFusedGain = 0.01;
 
 }  // namespace
 
@@ -27,8 +27,7 @@ struct CompactPoseSlam<Pose>::ChangedEdges {
 // What an edge between the two must tell the map: nearly nothing if it fuses with one that is there.
 template <class Pose>
 double CompactPoseSlam<Pose>::LeastEdgeGain(PoseId a, PoseId b) const {
-  return fused_->Find(FusedEdges<Pose>::Ordered(a, b)) != nullptr ? kLeastFusedGain
-                                                                  : kEdgeGain * options_.thresholds.min_loop_gain;
+  return fused_->Find(FusedEdges<Pose>::Ordered(a, b)) != nullptr ? kLeastFusedGain : gains_->MinEdgeGain();
 }
 
 // Which factor joins two kept poses, so that others can fuse with it.

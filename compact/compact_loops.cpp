@@ -107,8 +107,8 @@ void CompactPoseSlam<Pose>::LogLink(PoseId a, PoseId b, const Candidate& record,
                                          : " tells too little: gain ";
   const LogLevel level = good || IsRefused(record) ? LogLevel::kInfo : LogLevel::kDebug;
   internal::Log(options_.log, level, "link ", a.value, " - ", b.value, what, *record.measured_gain, " nats (threshold ",
-                options_.thresholds.min_loop_gain, "), innovation ", record.innovation.value_or(0), " (at most ",
-                most_innovation_, record.supported ? ", but other refused links agree)" : ")");
+                gains_->MinLoopGain(), "), innovation ", record.innovation.value_or(0), " (at most ", most_innovation_,
+                record.supported ? ", but other refused links agree)" : ")");
 }
 
 // Whether a registered link agrees with the map: between record.id and the pose at hand, or two poses seen before
@@ -132,7 +132,7 @@ bool CompactPoseSlam<Pose>::IsBelieved(const Current* current, const UncertainPo
 template <class Pose>
 bool CompactPoseSlam<Pose>::PassesTests(const Current* current, const UncertainPose<Pose>& known,
                                         const UncertainPose<Pose>& measured, Candidate& record) {
-  return IsBelieved(current, known, measured, record) && *record.measured_gain > options_.thresholds.min_loop_gain;
+  return IsBelieved(current, known, measured, record) && *record.measured_gain > gains_->MinLoopGain();
 }
 
 // Tests a registered link and adds it if it passes. Whether it did.
@@ -208,7 +208,7 @@ bool CompactPoseSlam<Pose>::IsCostlyToCarry(const Offer& offer, const UncertainP
   const auto& direct = SeenFrom(*offer.carried_from, offer.measured).covariance;
   return InformationGain<Pose::kDof>(known.covariance, direct) -
              InformationGain<Pose::kDof>(known.covariance, offer.T_kept_current.covariance) >
-         options_.thresholds.min_loop_gain;
+         gains_->MinLoopGain();
 }
 
 // Which poses may be linked, and what the least informative of the links that are surely possible would tell: from
@@ -241,7 +241,7 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated> 
     Evaluated* best = nullptr;
     for (Evaluated& e : candidates) {
       const bool asks = e.ask.offer >= 0 || registration != nullptr;
-      if (!asks || e.record.tried || e.record.gain <= options_.thresholds.min_loop_gain) continue;
+      if (!asks || e.record.tried || e.record.gain <= gains_->MinLoopGain()) continue;
       if (best != nullptr && e.worth <= best->worth) continue;
       if (e.ask.offer < 0 && ((is_linked && e.record.id == base) || IsNearFailed(failed, e.record.id))) continue;
       best = &e;

@@ -286,6 +286,7 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   const BatchResult<Pose> result = slam.solver_->FinishFrom(T_world_body);
   slam.UpdateCovariances();
   RequireOptimum(result);
+  slam.gains_->Resume(static_cast<int>(slam.solver_->Graph().Poses().size()), slam.LinksKept());
   return slam;
 }
 

@@ -49,6 +49,10 @@ void CheckThresholds(const Thresholds<Pose>& thresholds) {
 
 template <class Pose>
 void CheckOptions(const CompactOptions<Pose>& o) {
+  for (const std::optional<double>& share : {o.budget.keep_poses, o.budget.keep_links}) {
+    if (share && !(*share > 0 && *share <= 1))
+      throw std::invalid_argument("compact options: a budget is a share above 0 and at most 1");
+  }
   CheckThresholds(o.thresholds);
   if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
     throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
@@ -87,6 +91,7 @@ template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
     : solver_(std::make_unique<IncrementalSolver<Pose>>(SolverOptions(options))),
       marginals_(std::make_unique<IncrementalMarginals<Pose>>(*solver_)),
+      gains_(std::make_unique<GainControl>()),
       fused_(std::make_unique<FusedEdges<Pose>>()),
       reach_(std::make_unique<PoseIndex<Pose>>()) {
   TakeOptions(options);
@@ -96,6 +101,7 @@ template <class Pose>
 void CompactPoseSlam<Pose>::TakeOptions(const CompactOptions<Pose>& options) {
   CheckOptions(options);
   options_ = options;
+  gains_->Start(options);
   most_distance_ = ChiSquareQuantile(options.plausible_quantile, Displacement<Pose>::kSize);
   most_innovation_ = options.innovation_quantile ? ChiSquareQuantile(*options.innovation_quantile, Pose::kDof)
                                                  : std::numeric_limits<double>::infinity();
@@ -192,8 +198,7 @@ void CompactPoseSlam<Pose>::LogVerdict(const Decision& decision) const {
   const std::string name = "pose " + std::to_string(decision.id.value) + (decision.Kept() ? " kept, " : " dropped, ");
   if (by_gain && decision.pose_gain) {
     internal::Log(options_.log, level, name, Name(decision.verdict), ": gain ", *decision.pose_gain,
-                  " nats (threshold ", options_.thresholds.min_pose_gain, "), ", decision.candidates.size(),
-                  " candidates");
+                  " nats (threshold ", gains_->MinPoseGain(), "), ", decision.candidates.size(), " candidates");
   } else {
     internal::Log(options_.log, level, name, Name(decision.verdict), ": ", decision.candidates.size(), " candidates, ",
                   decision.registrations_tried, " tried, ", decision.links_accepted, " links, ", decision.links_refused,
@@ -219,7 +224,7 @@ void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) co
     decision.verdict = PoseVerdict::kNothingInRange;
   } else {
     decision.verdict =
-        *decision.pose_gain > options_.thresholds.min_pose_gain ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
+        *decision.pose_gain > gains_->MinPoseGain() ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
   }
 }
 
@@ -345,6 +350,8 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
     throw;
   }
   Remember(current);
+  const int loops = input.loops ? static_cast<int>(input.loops->size()) : decision.registrations_tried;
+  gains_->Follow(options_, static_cast<int>(solver_->Graph().Poses().size()), LinksKept(), loops);
   KeepNewest(kMostRefused, refused_);
   KeepNewest(kMostFailed, failed_);
   LogVerdict(decision);

@@ -1,6 +1,7 @@
 #pragma once
 // What the parts of CompactPoseSlam share while a pose is worked in.
 
+#include "gain_control.h"
 #include "terse/compact/compact_pose_slam.h"
 #include "terse/compact/pose_index.h"
 

@@ -18,11 +18,11 @@ using internal::At;
 template <class Pose>
 template <class Archive>
 void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
-  auto& [options, most_innovation, most_distance, solver, marginals, history, index, links, fused, refused, failed,
-         searches, T_pose_base, reach, searched_version, searched_base] = *this;
+  auto& [options, most_innovation, most_distance, solver, marginals, gains, history, index, links, fused, refused,
+         failed, searches, T_pose_base, reach, searched_version, searched_base] = *this;
   archive(options);
   if constexpr (Archive::kReads) TakeOptions(options);
-  archive(*solver, *marginals, searches);
+  archive(*solver, *marginals, searches, *gains);
   archive.Each(links, [&](Link& link) {
     auto& [factor, added_at, gain] = link;
     archive(factor, added_at, gain);

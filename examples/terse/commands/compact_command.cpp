@@ -1,6 +1,7 @@
 #include <cmath>
 #include <iostream>
 
+#include "commands/budget_options.h"
 #include "commands/commands.h"
 #include "commands/output_paths.h"
 #include "commands/verbose.h"
@@ -36,6 +37,7 @@ struct CompactCommandOptions {
   std::vector<double> range;
   std::optional<double> probability;
   std::optional<double> min_pose_gain, min_loop_gain;
+  CompactBudget budget;
   std::string thresholds;  // a file to read them from
   bool auto_thresholds = false;
   std::optional<double> sample;  // share of the poses
@@ -73,6 +75,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.composition = from.composition;
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
+  options.budget = from.budget;
   options.log = from.log;
   options.max_registrations = from.max_registrations;
   options.record = from.record;
@@ -332,6 +335,7 @@ void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
 }
 
 void AddThresholdOptions(CLI::App& command, CompactCommandOptions& options) {
+  AddBudgetOptions(command, options.budget);
   command
       .add_option("--range", options.range,
                   "Sensor range in metres and radians; by default 1.5 times the longest link of the file, less one in "

@@ -2,6 +2,7 @@
 #include <iostream>
 #include <numeric>
 
+#include "commands/budget_options.h"
 #include "commands/commands.h"
 #include "commands/output_paths.h"
 #include "commands/verbose.h"
@@ -27,6 +28,7 @@ struct FrameRange {
 struct KittiCommandOptions {
   std::string path, directory, thresholds, ground_truth, frames;
   Strategy strategy = Strategy::kFpfl;
+  CompactBudget budget;
   Search search = Search::kInformation;
   MotionCovariance covariance = MotionCovariance::kSchur;
   bool quiet = false;
@@ -72,6 +74,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   KittiRunOptions how;
   if (!options.thresholds.empty()) how.slam.compact.thresholds = ReadThresholds<SE3>(options.thresholds);
   how.slam.compact.strategy = options.strategy;
+  how.slam.compact.budget = options.budget;
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
   how.truth = truth;
@@ -130,6 +133,7 @@ void AddKittiCommand(CLI::App& app) {
       ->add_option("--thresholds", options->thresholds,
                    "A thresholds.json; by default thresholds for a vehicle at ten frames a second")
       ->type_name("FILE");
+  AddBudgetOptions(*command, options->budget);
   command->add_option("--frames", options->frames, "Only frames A, A + 1 ... B - 1; either may be left out")
       ->check(
           [](const std::string& text) { return ParseRange(text) ? "" : text + " is no range of frames like 0:100"; })

@@ -4,6 +4,7 @@
 #include <optional>
 #include <sstream>
 
+#include "commands/budget_options.h"
 #include "commands/commands.h"
 #include "commands/convention_options.h"
 #include "commands/output_paths.h"
@@ -35,6 +36,7 @@ struct OnlineCommandOptions {
   Strategy strategy = Strategy::kFpfl;
   std::vector<double> range, link_deviation;
   std::optional<double> probability, min_pose_gain, min_loop_gain;
+  CompactBudget budget;
   std::optional<double> innovation_quantile = 0.9999;
   RobustOptions robust;
   Recovery recovery = Recovery::kV2;
@@ -286,6 +288,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   thresholds.min_pose_gain = from.min_pose_gain.value_or(thresholds.min_pose_gain);
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
+  options.budget = from.budget;
   options.log = from.log;
   return options;
 }
@@ -295,6 +298,9 @@ template <class Pose>
 ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options) {
   ordered_json json = ThresholdsToJson(settings.thresholds);
   json["strategy"] = Name(settings.strategy);
+  const auto& [keep_poses, keep_links] = settings.budget;
+  if (keep_poses) json["keep_poses"] = *keep_poses;
+  if (keep_links) json["keep_links"] = *keep_links;
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
   json["robust"] = WordOf(options.robust.kernel);
@@ -414,6 +420,7 @@ void AddOnlineCommand(CLI::App& app) {
             "All poses all links, all poses few links, few poses few links, or as many as the area needs: where a link "
             "finds the robot in known terrain its chain starts anew at a kept pose");
   AddThresholdOptions(*command, *options);
+  AddBudgetOptions(*command, options->budget);
   AddRobustOptions(*command, options->robust);
   AddReadOptions(*command, options->read);
   command

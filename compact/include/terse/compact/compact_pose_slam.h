@@ -47,6 +47,7 @@ template <class Pose>
 class PoseIndex;
 template <class Pose>
 class FusedEdges;
+class GainControl;
 
 // How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Ila et al. 2017 Eq. 24): chained to the
 // kept pose before them. kV2 (Ila et al. 2017 Eqs. 25-26): that chain's misfit at the next kept pose spread over it by
@@ -288,6 +289,7 @@ class CompactPoseSlam {
   double most_distance_ = 0;    // squared, of the range from the mean of a plausible displacement
   std::unique_ptr<IncrementalSolver<Pose>> solver_;
   std::unique_ptr<IncrementalMarginals<Pose>> marginals_;
+  std::unique_ptr<GainControl> gains_;  // the thresholds in force
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<Link> links_;                      // ascending factors

@@ -1,0 +1,12 @@
+#pragma once
+// --keep-poses and --keep-links: how much of a run the map may keep.
+
+#include <CLI/CLI.hpp>
+
+#include "terse/compact/compact_options.h"
+
+namespace terse {
+
+void AddBudgetOptions(CLI::App& command, CompactBudget& budget);
+
+}  // namespace terse
