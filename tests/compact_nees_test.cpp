@@ -96,7 +96,7 @@ TYPED_TEST(CompactNeesTest, NotAboveTheIntervalWithPriors) {
 // Bounded maps, over laps and over streets that cross each other again and again: all kept poses jointly, each of them
 // by itself, and dropped ones. Errors of neighbours are correlated, so the means of few runs scatter by more than
 // chi-square has it; a consistent map stays below this.
-constexpr double kMostBoundedNees = 1.35;
+constexpr double kMostBoundedNees = 1.2;
 
 template <class Pose>
 void ExpectBoundedConsistent(const char* name, int runs,
