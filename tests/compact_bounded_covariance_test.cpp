@@ -8,7 +8,6 @@
 #include <gtest/gtest.h>
 
 #include <cstdio>
-#include <tuple>
 
 #include "terse/core/linear_factor.h"
 #include "testing_bounded.h"

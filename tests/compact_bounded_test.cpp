@@ -8,8 +8,6 @@
 #include "terse/compact/compact_graph.h"
 #include "terse/compact/map_file.h"
 #include "terse/compact/measurement_stream.h"
-#include "terse/core/batch_solver.h"
-#include "terse/core/error.h"
 #include "terse/core/evaluate.h"
 #include "testing_bounded.h"
 #include "testing_files.h"
