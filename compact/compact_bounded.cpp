@@ -6,9 +6,9 @@
 //   1/2 ln |I + Sigma_d (Sigma_chain + Sigma_link)^-1|,
 // Sigma_d what it knows of their displacement. It fuses with the edge that joins the two already, or becomes an edge if
 // it tells enough. Every measurement is used once: the link that starts the next chain is none of those composed, and a
-// stretch of a chain carries one loop of another pose at most. This is the reduced pose graph of Johannsson et al.
-// (ICRA 2013) with information as the judge. Where a link tells the map so much that a pose is worth it, as on the
-// first return to old terrain, the pose is kept and linked as by Strategy::kFpfl.
+// stretch of a chain carries one loop of another pose at most, none if it is odometry between kept poses. This is the
+// reduced pose graph of Johannsson et al. (ICRA 2013) with information as the judge. Where a link tells the map so much
+// that a pose is worth it, as on the first return to old terrain, the pose is kept and linked as by Strategy::kFpfl.
 
 #include <Eigen/Cholesky>
 #include <algorithm>
@@ -34,6 +34,13 @@ double LogDeterminant(const Jacobian& covariance) {
   return 2 * covariance.llt().matrixLLT().diagonal().array().log().sum();
 }
 
+// Whether the chain that a dropped pose hangs on is odometry of the map. A loop that came along it would count that a
+// second time, and a map of many such loops would be too sure of itself.
+template <class Seen>
+bool IsOnOdometry(const Seen& dropped) {
+  return dropped.next_kept && dropped.ended_by < 0;
+}
+
 // The pose that a loop of the pose at hand leads to, kept or not.
 template <class Offer>
 PoseId MeasuredTo(const Offer& loop) {
@@ -49,18 +56,26 @@ double CompactPoseSlam<Pose>::MapGain(const Current& current, const UncertainPos
   return InformationGain<Pose::kDof>(known.covariance - chain, Sigma_link + chain);
 }
 
-// Of the loops to each kept pose the most precise, measured at it rather than carried to it. Those along the pose's own
-// chain go.
+// Of the loops to each kept pose the most precise, and none that was carried along odometry of the map if there is
+// another. Those along the pose's own chain go.
 template <class Pose>
 void CompactPoseSlam<Pose>::ThinOffers(Current& current) const {
   std::map<PoseId, Offer> best;
+  const auto is_on_odometry = [&](const Offer& offer) {
+    return offer.carried_from && IsOnOdometry(Find(*offer.carried_from));
+  };
+  const auto is_better = [&](const Offer& a, const Offer& b) {
+    const bool a_counts_twice = is_on_odometry(a), b_counts_twice = is_on_odometry(b);
+    if (a_counts_twice != b_counts_twice) return b_counts_twice;
+    return LogDeterminant(a.T_kept_current.covariance) < LogDeterminant(b.T_kept_current.covariance);
+  };
   for (Offer& offer : current.offers) {
     const bool is_own_chain = offer.kept == current.base && (offer.carried_from || !current.concatenated);
     if (is_own_chain) continue;
     const auto it = best.find(offer.kept);
     if (it == best.end()) {
       best.emplace(offer.kept, std::move(offer));
-    } else if (LogDeterminant(offer.T_kept_current.covariance) < LogDeterminant(it->second.T_kept_current.covariance)) {
+    } else if (is_better(offer, it->second)) {
       it->second = std::move(offer);
     }
   }
@@ -180,6 +195,11 @@ void CompactPoseSlam<Pose>::Bound(Current& current, Decision& decision, const Re
 template <class Pose>
 void CompactPoseSlam<Pose>::Anchor(Current& current, Decision& decision, std::vector<Evaluated>& candidates,
                                    std::vector<Sighting> sightings) {
+  const auto is_carried_on_odometry = [&](const Sighting& s) {
+    const auto& dropped = current.offers[At(s.offer)].carried_from;
+    return dropped && IsOnOdometry(Find(*dropped));
+  };
+  sightings.erase(std::remove_if(sightings.begin(), sightings.end(), is_carried_on_odometry), sightings.end());
   if (sightings.empty()) return;
   std::stable_sort(sightings.begin(), sightings.end(),
                    [](const Sighting& a, const Sighting& b) { return a.log_det < b.log_det; });

@@ -6,7 +6,6 @@
 #include <cstdio>
 
 #include "terse/compact/map_file.h"
-#include "terse/core/error.h"
 #include "testing_bounded.h"
 
 namespace terse {

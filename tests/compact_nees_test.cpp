@@ -6,8 +6,9 @@
 #include <cstdio>
 
 #include "simulation.h"
+#include "terse/compact/compact_graph.h"
 #include "terse/covariance/marginals.h"
-#include "testing_compact.h"
+#include "testing_bounded.h"
 
 namespace terse {
 namespace {
@@ -90,6 +91,86 @@ TYPED_TEST(CompactNeesTest, NotAboveTheIntervalWithPriors) {
   EXPECT_GT(dropped, 10 * kRuns) << "poses have to be dropped for this to mean anything";
   std::printf("NEES / dof with priors: newest %.3f, all %.3f; %.1f dropped\n", newest.nees / newest.dof,
               all.nees / all.dof, static_cast<double>(dropped) / kRuns);
+}
+
+// Bounded maps, over laps and over streets that cross each other again and again: all kept poses jointly, each of them
+// by itself, and dropped ones. Errors of neighbours are correlated, so the means of few runs scatter by more than
+// chi-square has it; a consistent map stays below this.
+constexpr double kMostBoundedNees = 1.2;
+
+template <class Pose>
+void ExpectBoundedConsistent(const char* name, int runs,
+                             const std::function<testing::RandomGraph<Pose>(std::uint64_t)>& make) {
+  constexpr int B = Pose::kDof;
+  Sum joint, each, dropped;
+  long kept_poses = 0, edges = 0;
+  for (int seed = 1; seed <= runs; ++seed) {
+    const auto scene = make(static_cast<std::uint64_t>(seed));
+    GraphReplay<Pose> replay(scene.graph);
+    CompactOptions<Pose> options;
+    options.strategy = Strategy::kBounded;
+    options.record = Record::kNone;
+    SampleThresholds(scene.graph, options);
+    auto compact = testing::RunCompact(replay, options);
+    compact.slam->Finish();
+    for (const Decision& decision : compact.decisions) edges += static_cast<long>(decision.edges.size());
+    const IncrementalMarginals<Pose> marginals(compact.slam->Solver());
+    std::vector<PoseId> ids;
+    std::vector<double> e;
+    int k = 0;
+    for (const auto& pose : compact.slam->Trajectory()) {
+      const Vector<B> error = pose.T_world_body.Local(scene.truth[static_cast<std::size_t>(pose.id.value)]);
+      if (++k == 1) continue;
+      if (!pose.kept && k % 5 != 0) continue;
+      Sum& sum = pose.kept ? each : dropped;
+      sum.nees += testing::Nees(error, compact.slam->Covariance(pose.id));
+      sum.dof += B;
+      if (!pose.kept) continue;
+      ids.push_back(pose.id);
+      e.insert(e.end(), error.data(), error.data() + B);
+    }
+    kept_poses += static_cast<long>(ids.size());
+    joint.nees +=
+        testing::Nees(Eigen::Map<Eigen::VectorXd>(e.data(), static_cast<Eigen::Index>(e.size())), marginals.Joint(ids));
+    joint.dof += static_cast<double>(e.size());
+  }
+  std::printf("%s: NEES / dof: kept jointly %.3f, each %.3f, dropped %.3f; %ld kept, %ld composed edges per run\n",
+              name, joint.nees / joint.dof, each.nees / each.dof, dropped.nees / dropped.dof, kept_poses / runs,
+              edges / runs);
+  for (const Sum& sum : {joint, each, dropped}) {
+    EXPECT_LT(sum.nees, kMostBoundedNees * sum.dof) << name;
+    EXPECT_GT(sum.nees, 0.3 * sum.dof) << name << ": the covariances are far too large";
+  }
+}
+
+TEST(BoundedNeesTest, LapsOfAnEllipse) {
+  ExpectBoundedConsistent<SE3>("ellipse-n", 20, [](std::uint64_t seed) {
+    testing::RandomGraph<SE3> out;
+    GenerateOptions options;
+    options.scene = Scene::kEllipseN;
+    options.laps = 5;
+    options.seed = seed;
+    GenerateSink<SE3> sink;
+    sink.pose = [&](PoseId id, const SE3& T) {
+      out.truth.push_back(T);
+      out.graph.AddPose(id, T);
+    };
+    sink.edge = [&](const RelativePoseFactor<SE3>& edge) { out.graph.AddFactor(edge); };
+    Generate(options, sink);
+    return out;
+  });
+}
+
+TEST(BoundedNeesTest, StreetsOfManhattan) {
+  ExpectBoundedConsistent<SE2>(
+      "manhattan", 20, [](std::uint64_t seed) { return testing::MakeScene<SE2>(Scene::kManhattan, 1000, seed); });
+}
+
+TYPED_TEST(CompactNeesTest, BoundedOverLaps) {
+  testing::LapsOptions options;
+  options.laps = 10;
+  ExpectBoundedConsistent<TypeParam>("laps", 40,
+                                     [&](std::uint64_t seed) { return testing::MakeLaps<TypeParam>(seed, options); });
 }
 
 }  // namespace
