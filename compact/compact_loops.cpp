@@ -64,7 +64,7 @@ bool CompactPoseSlam<Pose>::IsSpent(PoseId dropped) const {
 
 template <class Pose>
 void CompactPoseSlam<Pose>::Spend(const Offer& offer) {
-  if (!offer.carried_from) return;
+  if (!offer.carried_from || options_.strategy != Strategy::kBounded) return;
   const int stretch = Find(*offer.carried_from).stretch;
   if (stretch >= 0) history_[At(stretch)].carried = true;
 }
