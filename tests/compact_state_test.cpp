@@ -49,17 +49,25 @@ std::string SavedButTimes(const CompactPoseSlam<Pose>& slam) {
 // All fields, so that a new one is not forgotten.
 std::string Fields(const Candidate& candidate) {
   const auto& [id, probability, gain, measured, tried, measured_gain, innovation, outlier, supported, accepted, factor,
-               carried_from] = candidate;
+               carried_from, anchors, composed] = candidate;
   return Bits(id) + Bits(probability) + Bits(gain) + Bits(measured) + Bits(tried) + Bits(measured_gain) +
-         Bits(innovation) + Bits(outlier) + Bits(supported) + Bits(accepted) + Bits(factor) + Bits(carried_from);
+         Bits(innovation) + Bits(outlier) + Bits(supported) + Bits(accepted) + Bits(factor) + Bits(carried_from) +
+         Bits(anchors) + Bits(composed);
+}
+
+std::string Fields(const ComposedEdge& edge) {
+  const auto& [id, from, to, gain, fused] = edge;
+  return Bits(id) + Bits(from) + Bits(to) + Bits(gain) + Bits(fused);
 }
 
 std::string Fields(const Decision& decision) {
-  const auto& [id, candidates, found, verdict, pose_gain, tried, accepted, refused, revived, update] = decision;
-  EXPECT_EQ(update.has_value(), decision.Kept());
+  const auto& [id, candidates, found, verdict, pose_gain, tried, accepted, refused, revived, anchored_to, edges,
+               update] = decision;
+  EXPECT_EQ(update.has_value(), decision.Kept() || !edges.empty());
   std::string out = (update ? Bits(update->gate_value) + Bits(update->flops) : "") + Bits(id) + Bits(verdict) +
                     Bits(pose_gain) + Bits(tried) + Bits(accepted) + Bits(refused) + Bits(candidates.size()) +
-                    Bits(found);
+                    Bits(found) + Bits(anchored_to);
+  for (const ComposedEdge& edge : edges) out += Fields(edge);
   for (const PoseId back : revived) out += Bits(back);
   for (const Candidate& candidate : candidates) out += Fields(candidate);
   return out;
@@ -429,7 +437,7 @@ TEST(CompactStateErrorTest, ChainsEndAtAKeptPose) {
                            testing::Bytes(first) + std::string(12 * sizeof(double), '\0');
   ASSERT_NE(whole.find(pose), std::string::npos);
   const std::size_t base = whole.find(pose) + sizeof(std::uint64_t) + sizeof(first);
-  const std::size_t successors = base + sizeof(first) + 15 * sizeof(double) + sizeof(int),
+  const std::size_t successors = base + sizeof(first) + 15 * sizeof(double) + 2 * sizeof(int),
                     kept = successors + sizeof(int);
   ASSERT_EQ(whole[kept], 1);
   const auto refused = [&](const std::string& bytes) {
