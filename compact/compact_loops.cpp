@@ -73,7 +73,7 @@ bool CompactPoseSlam<Pose>::IsSpent(PoseId dropped) const {
 
 template <class Pose>
 void CompactPoseSlam<Pose>::Spend(const Offer& offer) {
-  if (!offer.carried_from) return;
+  if (!offer.carried_from || options_.strategy != Strategy::kBounded) return;
   for (int s = Find(*offer.carried_from).stretch; s >= 0; s = StretchBefore(s)) history_[At(s)].carried = true;
 }
 

@@ -97,7 +97,7 @@ TEST_F(Help, MistypedNamesAreMetWithTheNearest) {
   ExpectFailure("generate steroe", 2, "did you mean stereo?");
   ExpectFailure("generate shpere", 2, "did you mean sphere?");
   ExpectFailure("compact x.g2o --output o --strategy fpfk", 2,
-                "fpfk not in {apal,apfl,fpfl,rfpfl}; did you mean fpfl?");
+                "fpfk not in {apal,apfl,fpfl,rfpfl,bounded}; did you mean fpfl?");
   ExpectFailure("solve x.g2o --robust hubert", 2, "did you mean huber?");
   ExpectFailure("solve x.g2o --mode=increment", 2, "did you mean incremental?");
   ExpectFailure("evaluate a b --align se4", 2, "did you mean se3?");

@@ -74,6 +74,49 @@ TEST_F(ReportCommand, HoldsTheRun) {
   EXPECT_NEAR(std::sqrt(squares / static_cast<double>(poses)), ate, 1e-5 * ate);
 }
 
+// What a bounded map made of links, and the area that was explored.
+TEST_F(ReportCommand, TellsWhatAreFusedEdges) {
+  Succeed("compact laps.g2o --strategy bounded --output bounded --quiet");
+  Succeed("report bounded --output page.html");
+  const json run = DataOf("page.html").at("runs").at(0), stats = JsonFile("bounded/stats.json");
+  const json &poses = run.at("poses"), &decisions = run.at("decisions");
+  const std::size_t count = poses.at("id").size();
+  long anchored = 0, with_edges = 0;
+  for (std::size_t k = 0; k < count; ++k) {
+    const bool is_anchored = run.at("verdicts").at(poses.at("verdict").at(k).get<std::size_t>()) == "anchored";
+    EXPECT_EQ(decisions.at("anchored_to").at(k).is_null(), !is_anchored);
+    anchored += is_anchored;
+    with_edges += !decisions.at("edges").at(k).empty();
+    long anchors = 0;
+    for (const json& candidate : decisions.at("candidates").at(k)) {
+      anchors += candidate.size() > 8 && candidate.at(8) == "anchors";
+    }
+    EXPECT_EQ(anchors, is_anchored);
+  }
+  EXPECT_EQ(anchored, stats.at("poses_anchored").get<long>());
+  EXPECT_GT(with_edges, 0);
+  long several = 0, made_of_links = 0;
+  for (const char* kind : {"links", "chain"}) {
+    const json& edges = run.at(kind);
+    for (std::size_t k = 0; k < edges.at("from").size(); ++k) {
+      several += edges.at("measurements").at(k).get<int>() > 1;
+      made_of_links += edges.at("made_of_links").at(k).get<int>();
+    }
+  }
+  EXPECT_EQ(several, stats.at("edges_fused").get<long>());
+  EXPECT_EQ(made_of_links, stats.at("edges_composed").get<long>());
+  const json &area = run.at("area"), &explored = area.at("explored");
+  ASSERT_EQ(explored.size(), count);
+  const double cell = area.at("cell");
+  EXPECT_NEAR(cell, stats.at("thresholds").at("range").at(0).get<double>(), 1e-6 * cell);
+  // A lap of the ellipse; the second one finds nothing new but for a cell's corner.
+  const double lap = explored.at(count / 2), end = explored.back();
+  EXPECT_GT(lap, 10 * cell * cell);
+  EXPECT_LE(end, lap + 2 * cell * cell);
+  Succeed("plot bounded");
+  EXPECT_NE(Read("bounded/timings.svg").find("explored area"), std::string::npos);
+}
+
 // R S R', R of the quaternion in trajectory.tum.
 TEST_F(ReportCommand, TurnsCovariancesIntoTheWorld) {
   Succeed("report fpfl --output page.html");

@@ -9,6 +9,8 @@
 #include <map>
 #include <set>
 
+#include "terse/compact/explored_area.h"
+#include "terse/compact/run_folder.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/trajectory.h"
@@ -525,6 +527,76 @@ TEST_F(RunFolder, BadGraphsAreNamedAndLeaveNothing) {
   EXPECT_EQ(CsvRows(Read("new/steps.csv")).size(), good["poses"].size());
 }
 
+// The figures of stats.json, counted in graph.json, and in the words of the summary; and what a reader makes of them.
+TEST_F(RunFolder, OfABoundedMap) {
+  Succeed("generate ellipse-n --laps 4 --output in.g2o");
+  const std::string summary = Succeed("compact in.g2o --strategy bounded --output out").out;
+  const json graph = JsonFile("out/graph.json"), stats = JsonFile("out/stats.json");
+  long anchored = 0, edges = 0, measurements = 0, fused = 0;
+  for (const json& pose : graph["poses"]) anchored += pose.contains("anchored_to");
+  std::map<std::pair<long, long>, int> sizes;
+  for (const json& edge : graph["edges"]) {
+    long composed = 0, all = 0;
+    for (const json& part : edge.value("parts", json::array())) {
+      all += part["measurements"].get<long>();
+      if (part["id"].get<long>() < 0) composed += part["measurements"].get<long>();
+    }
+    edges += composed > 0, measurements += composed, fused += all > 1;
+    if (all > 0) sizes[{edge["from"], edge["to"]}] = static_cast<int>(all);
+  }
+  EXPECT_GT(anchored, 200);
+  EXPECT_GT(measurements, edges);
+  EXPECT_GT(fused, 5);
+  EXPECT_EQ(stats["poses_anchored"], anchored);
+  EXPECT_EQ(stats["edges_composed"], edges);
+  EXPECT_EQ(stats["measurements_composed"], measurements);
+  EXPECT_EQ(stats["edges_fused"], fused);
+  EXPECT_NE(summary.find(std::to_string(anchored) + " poses were found again at kept poses (anchored); " +
+                         std::to_string(edges) + " edges hold " + std::to_string(measurements) +
+                         " measurements composed of links, " + std::to_string(fused) + " edges are fused of several"),
+            std::string::npos)
+      << summary;
+  const terse::RunFolder run = ReadRunFolder((folder_ / "out").string());
+  std::size_t found = 0;
+  const auto check = [&](const auto& edge) {
+    const auto size =
+        sizes.find({run.ids[static_cast<std::size_t>(edge.from)], run.ids[static_cast<std::size_t>(edge.to)]});
+    EXPECT_EQ(edge.measurements, size != sizes.end() ? size->second : 1);
+    found += size != sizes.end();
+  };
+  for (const RunLink& link : run.links) check(link);
+  for (const RunChain& edge : run.chain) check(edge);
+  EXPECT_EQ(found, sizes.size());
+  long anchors = 0, made = 0;
+  for (std::size_t k = 0; k < run.decisions.size(); ++k) {
+    const RunDecision& decision = run.decisions[k];
+    EXPECT_EQ(decision.anchored_to.has_value(), decision.verdict == "anchored");
+    EXPECT_TRUE(!decision.anchored_to || run.kept[static_cast<std::size_t>(*decision.anchored_to)]) << k;
+    for (const RunCandidate& c : decision.candidates) anchors += c.anchors;
+    made += static_cast<long>(decision.edges.size());
+  }
+  EXPECT_EQ(anchors, anchored);
+  EXPECT_EQ(made, measurements) << "nothing was taken out again";
+  EXPECT_EQ(run.range_m, stats["thresholds"]["range"][0].get<double>());
+}
+
+SE3 At(double x, double y, double z) { return SE3(SO3(), Vector<3>(x, y, z)); }
+
+TEST(ExploredArea, CountsTheCellsEntered) {
+  // The box is 8 x 4 x 0 m, its middle (4, 2): cells of 2 m are centred at even coordinates there.
+  const std::vector<SE3> path{At(0, 0, 0), At(0.9, 0.9, 0), At(2, 0, 0), At(8, 4, 0), At(8, 3.2, 0), At(0.1, 0, 0)};
+  EXPECT_EQ(ExploredArea(path, 2), (std::vector<double>{4, 4, 8, 12, 12, 12}));
+  EXPECT_EQ(ExploredArea(path, 100), std::vector<double>(path.size(), 10000.0));
+  // Hills below half a cell do not count, levels of a building do.
+  EXPECT_EQ(ExploredArea({At(0, 0, 0.9), At(0, 0, -0.9)}, 2), (std::vector<double>{4, 4}));
+  EXPECT_EQ(ExploredArea({At(0, 0, 0), At(0, 0, 6)}, 2), (std::vector<double>{4, 8}));
+  EXPECT_TRUE(ExploredArea({}, 2).empty());
+  for (const double cell : {0.0, -1.0, static_cast<double>(NAN), static_cast<double>(INFINITY)}) {
+    EXPECT_TRUE(ExploredArea(path, cell).empty());
+  }
+  EXPECT_TRUE(ExploredArea({At(NAN, 0, 0)}, 2).empty());
+}
+
 // Every key and column is in the documentation.
 TEST_F(RunFolder, IsDocumented) {
   MakeScene(3);
@@ -543,10 +615,24 @@ TEST_F(RunFolder, IsDocumented) {
   for (const char* list : {"poses", "edges", "priors", "fixed", "refused"}) {
     for (const json& item : graph[list]) keys(item);
   }
-  for (const json& line : Lines("out/decisions.jsonl")) {
-    keys(line);
-    for (const json& candidate : line["candidates"]) keys(candidate);
+  Succeed("generate ellipse-n --laps 2 --output bounded.g2o");
+  Succeed("compact bounded.g2o --strategy bounded --quiet --output bounded");
+  keys(JsonFile("bounded/stats.json"));
+  const json bounded = JsonFile("bounded/graph.json");
+  for (const json& pose : bounded["poses"]) keys(pose);
+  for (const json& edge : bounded["edges"]) {
+    keys(edge);
+    const json parts = edge.value("parts", json::array());
+    for (const json& part : parts) keys(part);
   }
+  for (const std::string folder : {"out", "bounded"}) {
+    for (const json& line : Lines(folder + "/decisions.jsonl")) {
+      keys(line);
+      for (const json& candidate : line["candidates"]) keys(candidate);
+      for (const json& edge : line.value("edges", json::array())) keys(edge);
+    }
+  }
+  EXPECT_EQ(names.count("parts") + names.count("anchored_to") + names.count("anchors"), 3u);
   for (const auto& entry : std::filesystem::directory_iterator(folder_ / "out")) names.insert(entry.path().filename());
   std::istringstream header(Read("out/steps.csv").substr(0, Read("out/steps.csv").find('\n')));
   for (std::string column; std::getline(header, column, ',');) names.insert(column);

@@ -65,6 +65,17 @@ std::optional<double> NumberAt(const Json& object, const char* key) {
                                                      : std::nullopt;
 }
 
+// The greatest of the lengths; the last number is an angle.
+std::optional<double> RangeIn(const nlohmann::json& thresholds) {
+  const auto range = thresholds.find("range");
+  if (range == thresholds.end() || !range->is_array()) return std::nullopt;
+  std::optional<double> out;
+  for (size_t k = 0; k + 1 < range->size(); ++k) {
+    if (const auto length = Optional(range->at(k))) out = std::max(out.value_or(*length), *length);
+  }
+  return out;
+}
+
 class Reader {
  public:
   Reader(RunFolder& run, const nlohmann::ordered_json& stats) : run_(run), stats_(stats) {}
@@ -95,10 +106,12 @@ class Reader {
         const auto innovation = innovations_.find(WholeNumber(edge.at("factor"), path));
         run_.links.push_back({from, to, index("added_at"), Optional(edge.at("gain_nats")),
                               innovation != innovations_.end() ? innovation->second : std::nullopt});
+        ReadParts(edge, path, run_.links.back());
       } else {
         const auto composed = edge.find("composed_of");
         const int dropped = composed != edge.end() ? static_cast<int>(composed->size()) - 2 : 0;
         run_.chain.push_back({from, to, std::max(0, dropped)});
+        ReadParts(edge, path, run_.chain.back());
       }
     }
   }
@@ -187,6 +200,18 @@ class Reader {
   }
 
  private:
+  // How many measurements an edge is made of.
+  template <class Edge>
+  static void ReadParts(const nlohmann::json& from, const std::string& path, Edge& to) {
+    const auto parts = from.find("parts");
+    if (parts == from.end()) return;
+    to.measurements = 0;
+    for (const auto& part : *parts) {
+      to.measurements += static_cast<int>(WholeNumber(part.at("measurements"), path));
+      to.composed = to.composed || WholeNumber(part.at("id"), path) < 0;
+    }
+  }
+
   RunDecision MakeDecision(const nlohmann::json& from, const std::string& path, long line) {
     RunDecision out;
     out.verdict = from.at("verdict").get<std::string>();
@@ -204,8 +229,17 @@ class Reader {
       to.innovation = Optional(candidate.at("innovation"));
       to.tried = Flag(candidate, "tried");
       to.measured = Flag(candidate, "measured");
+      to.anchors = Flag(candidate, "anchors").value_or(false);
+      to.composed = Flag(candidate, "composed").value_or(false);
       if (!candidate.at("factor").is_null())
         innovations_[WholeNumber(candidate.at("factor"), path, line)] = to.innovation;
+    }
+    if (const auto at = from.find("anchored_to"); at != from.end()) out.anchored_to = IndexOf(*at, path);
+    if (const auto edges = from.find("edges"); edges != from.end()) {
+      for (const auto& edge : *edges) {
+        out.edges.push_back({IndexOf(edge.at("from"), path), IndexOf(edge.at("to"), path),
+                             Optional(edge.at("gain_nats")), edge.at("fused").get<bool>()});
+      }
     }
     return out;
   }
@@ -284,6 +318,7 @@ RunFolder ReadRunFolder(const std::string& path) {
   const auto stats = ReadJsonObject<nlohmann::ordered_json>(Present(path + "/stats.json"), "figures", &run.stats_json);
   run.min_loop_gain = NumberAt(thresholds, "min_loop_gain");
   run.min_pose_gain = NumberAt(thresholds, "min_pose_gain");
+  run.range_m = RangeIn(thresholds);
   const auto errors = stats.find("errors");
   if (errors != stats.end()) run.ate_m = NumberAt(*errors, "ate_m");
   Reader reader(run, stats);

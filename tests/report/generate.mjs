@@ -11,7 +11,7 @@ function random(seed) {
   };
 }
 
-const kVerdicts = ['first', 'all_kept', 'loop_closed', 'prior', 'nothing_in_range', 'informative', 'redundant', 'drawn'];
+const kVerdicts = ['first', 'all_kept', 'loop_closed', 'prior', 'nothing_in_range', 'informative', 'redundant', 'drawn', 'anchored'];
 const round = (x) => Number(x.toPrecision(7));
 
 // Three laps around a wavy ring; every `keepEvery`-th pose is kept, with `links` links between kept poses, evenly spread: to
@@ -60,6 +60,7 @@ export function makeRun({name = 'run', poses = 120, links = 40, keepEvery = 3, d
       gate_open: ids.map((_, i) => (kept[i] ? (accepted[i] ? 1 : 0) : null)), gate_value: ids.map((_, i) => (kept[i] ? round(10 ** (-6 * uniform())) : null)),
       seconds: ids.map(() => round(1e-5 * (1 + uniform()))), hessian_nonzeros: sparse((i) => 40 * posesBy[i]), factor_nonzeros: sparse((i) => 60 * posesBy[i]), ate_m: truth ? sparse((i) => round(0.3 + 0.1 * Math.sin(i / n))) : ids.map(() => null)},
     gate: 'newton_decrement', gate_unit: 'share of chi2', thresholds: {dimension, range: dimension === 3 ? [5, 5, 5, 1] : [5, 5, 1], probability: 0.1, min_loop_gain: 3, min_pose_gain: 5.4}, stats};
+  run.area = {cell: 5, explored: ids.map((_, i) => 25 * (1 + Math.min(Math.floor(i / 2), Math.floor(n / 6))))};
   if (down === 'y') [run.poses.y, run.poses.z] = [run.poses.z, run.poses.y];  // as seen by a camera
   return run;
 }
@@ -90,6 +91,30 @@ export function makeHolesRun({name = 'holes'} = {}) {
 }
 
 export const report = (...runs) => ({format: 'terse-report-1', version: '0.1.0', runs});
+
+// A run by the strategy bounded: from the second lap on poses are found again at kept ones, and what their links measure fuses.
+export function makeBoundedRun({name = 'bounded', poses = 120} = {}) {
+  const run = makeRun({name, poses, links: 12, strategy: 'bounded'});
+  const n = poses, keptList = run.poses.id.map((_, i) => i).filter((i) => run.poses.kept[i]);
+  run.links.measurements = run.links.from.map((_, i) => (i === 3 ? 7 : 1));
+  run.links.made_of_links = run.links.from.map((_, i) => (i === 3 || i === 5 ? 1 : 0));
+  run.chain.measurements = run.chain.from.map((_, i) => (i === 4 ? 2 : 1));
+  run.chain.made_of_links = run.chain.from.map((_, i) => (i === 4 ? 1 : 0));
+  run.decisions.anchored_to = run.poses.id.map(() => null);
+  run.decisions.edges = run.poses.id.map(() => []);
+  let anchored = 0;
+  for (let i = Math.floor(n / 3) + 1; i < n; i += 2) {
+    if (run.poses.kept[i]) continue;
+    const base = keptList[i % 5];
+    run.poses.verdict[i] = 8;
+    run.decisions.anchored_to[i] = base;
+    run.decisions.candidates[i] = [[base, 0.9, 2, 2.5, 0, 1, 1, 1, 'anchors'], [keptList[6], 0.9, 1, 1.5, 0, 1, 1, 1, 'composed'], [keptList[7], 0.9, 1, 1.2, 0, 1, 0, 1]];
+    if (anchored % 2 === 0) run.decisions.edges[i] = [[run.links.from[3], run.links.to[3], 0.4, 1]];
+    ++anchored;
+  }
+  Object.assign(run.stats, {poses_anchored: anchored, edges_composed: 3, measurements_composed: 9, edges_fused: 2});
+  return run;
+}
 
 // As `terse report` fills the page in.
 export function fill(page, data) {

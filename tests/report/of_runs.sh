@@ -13,5 +13,7 @@ cd "$folder"
 "$terse" compact plane.g2o --output plane --quiet
 echo "VERTEX_SE2 0 0 0 0" >one.g2o
 "$terse" compact one.g2o --strategy apal --output one --quiet
+"$terse" generate ellipse-n --laps 2 --seed 2 --output laps.g2o
+"$terse" compact laps.g2o --strategy bounded --output bounded --quiet
 "$terse" report apal fpfl --quiet
-exec "$@" "$folder"/{fpfl,plane,one}/report.html "$folder/apal/comparison.html"
+exec "$@" "$folder"/{fpfl,plane,one,bounded}/report.html "$folder/apal/comparison.html"

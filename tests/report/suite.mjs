@@ -7,7 +7,7 @@ import {join} from 'node:path';
 
 import {open, picture, slide, steps} from './browser.mjs';
 import {fitsWidth, noDashes, noProblems, numbersEqual, sliderChangesPicture} from './checks.mjs';
-import {fill, makeBareRun, makeHolesRun, makeRun, report} from './generate.mjs';
+import {fill, makeBareRun, makeBoundedRun, makeHolesRun, makeRun, report} from './generate.mjs';
 
 const kMostBytes = 900e3;  // of the page without data
 const kSmall = {width: 700, height: 560};  // software GL is slow
@@ -43,7 +43,7 @@ const single = (test) => withPage(test, report(makeRun({name: 'ring'})), kSmall,
   await sliderChangesPicture(page);
   assert.match(await page.title(), /^ring: 40.\/.120 poses, 40 links/);
   assert.match(await text(page, '#subtitle'), /keeps 40 of 120 poses and 40 of 120 links/);
-  assert.equal(await page.locator('#plots .uplot').count(), 8);
+  assert.equal(await page.locator('#plots .uplot').count(), 9);
   await noDashes(page);
   return `${compared} numbers`;
 });
@@ -114,6 +114,40 @@ const decisions = (test) => withPage(test, report(makeRun()), kSmall, async (pag
   const dropped = run.poses.kept.indexOf(0, at);
   await slide(page, dropped);
   assert.match(await text(page, '#decisions'), /dropped\s*redundant[^]*The least informative link to a kept pose would bring only[^]*not more than the threshold of 5.4 nats/);
+});
+
+// Poses found again, in words and on the map, and which edges are made of several measurements.
+const bounded = (test) => withPage(test, report(makeBoundedRun()), kSmall, async (page) => {
+  const run = makeBoundedRun(), id = run.poses.id, {anchored_to: to, edges} = run.decisions;
+  await numbersEqual(page, [run.stats]);
+  const count = to.filter((base) => base !== null).length;
+  assert.match(await text(page, '#subtitle'), new RegExp(`${count} poses were found again at kept ones`));
+  assert.match(await text(page, '#figures'), new RegExp(`Found again[^]*${count}`));
+  const with_edge = edges.findIndex((list) => list.length > 0), without = to.findIndex((base, i) => base !== null && edges[i].length === 0);
+  await slide(page, with_edge);
+  const panel = await text(page, '#decisions');
+  assert.match(panel, new RegExp(`not kept\\s*found again[^]*its chain starts anew at kept pose ${id[to[with_edge]]}, [^]*made 1 measurement between kept poses`));
+  assert.match(panel, new RegExp(`${id[run.links.from[3]]} – ${id[run.links.to[3]]} fused with the edge[^]*0.4 nats about the map; by the end the edge is made of 7 measurements`));
+  assert.deepEqual((await page.locator('#decisions tbody .word').allInnerTexts()).sort(), ['composed', 'found again', 'too little gain']);
+  assert.equal(await page.locator('#decisions .badge-anchored').count(), 1);
+  await slide(page, without);
+  assert.match(await text(page, '#decisions'), /told the map too little for an edge/);
+  await slide(page, 119);
+  const shown = await page.evaluate(() => Object.fromEntries(['kept', 'dropped', 'anchored'].map((name) => [name, window.terseReport.maps[0].layers[name].object.geometry.drawRange.count])));
+  assert.deepEqual(shown, {kept: 40, dropped: 80 - count, anchored: count});
+  assert.match(await text(page, '#layers'), new RegExp(`found again\\s*${count}`));
+  const rows = await page.locator('#edges tbody tr').allInnerTexts();
+  assert.equal(rows.length, 3);
+  assert.match(rows[0], /link\s+made of 7 measurements/);
+  assert.match(rows[1], /odometry\s+made of 2 measurements/);
+  assert.match(rows[2], /link\s+one measurement composed of links/);
+  assert.match(await text(page, '[data-plot="area"]'), /poses 40[^]*area 525 m²/);
+  await noDashes(page);
+});
+
+const unbounded = (test) => withPage(test, report({...makeRun(), area: {cell: null, explored: []}}), kSmall, async (page) => {
+  assert.equal(await page.locator('#edges, [data-layer="anchored"]').count(), 0);
+  assert.match(await text(page, '[data-plot="area"]'), /range of the sensor is not known/);
 });
 
 const keyboard = (test) => withPage(test, report(makeRun()), kSmall, async (page) => {
@@ -313,6 +347,7 @@ async function large(test, count) {
 export const suite = [
   ['the page is what its sources make', rebuilt], ['one run', single], ['it opens on the last kept pose', opening], ['what became of candidates', outcomes],
   ['decisions of a replay', ofAReplay],
+  ['poses found again, fused edges', bounded], ['a run without such, or range', unbounded],
   ['decisions step by step', decisions], ['keyboard', keyboard],
   ['choosing a pose', choosing], ['two runs', comparison], ['two runs by share', byShare], ['2D starts from above', flat],
   ['camera coordinates', cameraCoordinates], ['without truth, covariances, steps', bare], ['holes in the data', holes], ['one pose and two', tiny],

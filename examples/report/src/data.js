@@ -38,6 +38,13 @@ function sortedBy(columns, key, valid) {
   return Object.fromEntries(Object.entries(columns).map(([name, list]) => [name, order.map((i) => list?.[i] ?? null)]));
 }
 
+// Edges of the map that are not one measurement, those of most first: fused, or composed of links of poses not kept.
+function edgesOfSeveral(links, chain) {
+  const pick = (edges, kind) => edges.from.map((from, i) => ({from, to: edges.to[i], kind, measurements: edges.measurements[i] ?? 1,
+    ofLinks: !!edges.made_of_links[i], gain: edges.gain?.[i] ?? null})).filter((edge) => edge.measurements > 1 || edge.ofLinks);
+  return [...pick(links, 'link'), ...pick(chain, 'odometry')].sort((a, b) => b.measurements - a.measurements || a.from - b.from || a.to - b.to);
+}
+
 function readRun(run) {
   const {id} = run.poses;
   const n = id.length;
@@ -46,17 +53,22 @@ function readRun(run) {
   const truth = hasTruth ? {x: orNaN(run.truth.x, n), y: orNaN(run.truth.y, n), z: orNaN(run.truth.z, n)} : null;
   const kept = Uint8Array.from({length: n}, (_, i) => (run.poses.kept?.[i] ? 1 : 0));
   const isPose = (i) => Number.isInteger(i) && i >= 0 && i < n;
-  const {from = [], to = [], step, gain = [], innovation = []} = run.links ?? {};
+  const {from = [], to = [], step, gain = [], innovation = [], measurements = [], made_of_links = []} = run.links ?? {};
   const at = from.map((_, i) => step?.[i] ?? Math.max(from[i], to[i]));
-  const links = sortedBy({from, to, step: at, gain, innovation}, 'step', (i) => isPose(from[i]) && isPose(to[i]));
-  const chainIn = {from: run.chain?.from ?? [], to: run.chain?.to ?? [], composed: run.chain?.composed ?? []};
+  const links = sortedBy({from, to, step: at, gain, innovation, measurements, made_of_links}, 'step', (i) => isPose(from[i]) && isPose(to[i]));
+  const chainIn = {from: run.chain?.from ?? [], to: run.chain?.to ?? [], composed: run.chain?.composed ?? [],
+    measurements: run.chain?.measurements ?? [], made_of_links: run.chain?.made_of_links ?? []};
   const chain = sortedBy(chainIn, 'to', (i) => isPose(chainIn.from[i]) && isPose(chainIn.to[i]));
   const covarianceIn = {pose: run.covariances?.pose ?? [], position: run.covariances?.position ?? []};
   const covariances = sortedBy(covarianceIn, 'pose',
     (i) => isPose(covarianceIn.pose[i]) && covarianceIn.position[i]?.every(finite));
+  const anchoredTo = Array.from({length: n}, (_, i) => (isPose(run.decisions?.anchored_to?.[i]) ? run.decisions.anchored_to[i] : null));
+  const anchored = Uint8Array.from(anchoredTo, (base, i) => (base !== null && !kept[i] ? 1 : 0));
   return {
     name: String(run.name ?? 'run'), dimension: run.dimension === 2 ? 2 : 3, n, id, kept, position, truth, links, chain,
     covariances, verdict: run.poses.verdict ?? [], verdicts: run.verdicts ?? [],
+    anchoredTo, anchored, anchoredBy: countsByStep(Array.from(anchored.keys()).filter((i) => anchored[i]), n), ofSeveral: edgesOfSeveral(links, chain),
+    area: run.area?.explored?.length ? {cell: run.area.cell, explored: run.area.explored} : null,
     decisions: run.decisions ?? {}, steps: run.steps ?? {}, gate: run.gate, gateUnit: run.gate_unit,
     thresholds: run.thresholds ?? {}, stats: run.stats ?? {},
     indexOfId: new Map(id.map((value, i) => [value, i])),

@@ -1,7 +1,7 @@
 // The panel that explains one step of one run, and the pose that was clicked.
 
 import {isNumber} from './data.js';
-import {explain, fate, outcome, verdictInShort} from './explain.js';
+import {composedAt, explain, fate, madeOf, outcome, verdictInShort} from './explain.js';
 import {element, integer, number, percent} from './format.js';
 import {halfAxes} from './scene3d.js';
 
@@ -28,7 +28,7 @@ function candidateTable(run, list) {
   const order = list.map((c, i) => [c, i]).sort(([a, i], [b, j]) => b[4] - a[4] || (b[3] ?? b[2] ?? 0) - (a[3] ?? a[2] ?? 0) || i - j);
   const rows = order.slice(0, kMostRows).map(([c]) => {
     const {word, why} = outcome(run, c);
-    return element('tr', {class: c[4] ? 'accepted' : ''},
+    return element('tr', {class: c[4] ? 'accepted' : c[8] ? 'served' : ''},
       element('th', {scope: 'row'}, String(run.id[c[0]] ?? 'unknown')),
       evaluated && element('td', {}, probability(c[1])), evaluated && element('td', {}, number(c[2], 3)),
       element('td', {}, valueOr(c[3], 'none')), element('td', {}, valueOr(c[5], 'untested')),
@@ -44,6 +44,21 @@ function candidateTable(run, list) {
     list.length > kMostRows && element('p', {class: 'muted'}, `and ${integer(list.length - kMostRows)} more`));
 }
 
+// Edges between kept poses that the links of this step made.
+function composedList(run, k) {
+  const made = composedAt(run, k);
+  if (made.length === 0) return null;
+  return element('div', {class: 'composed'}, element('strong', {}, 'Between kept poses'),
+    element('ul', {}, made.map(({edge, words}) => element('li', {}, element('strong', {}, edge), ` ${words}`))));
+}
+
+// The edges at a kept pose that are not one measurement.
+function edgesAt(run, k) {
+  const list = run.ofSeveral.filter(({from, to}) => from === k || to === k);
+  if (list.length === 0) return null;
+  return element('ul', {}, list.slice(0, kMostRows).map((edge) => element('li', {}, `${edge.kind} to pose ${run.id[edge.from === k ? edge.to : edge.from]}: ${madeOf(edge)}`)));
+}
+
 function chosenPose(run, k, onStep) {
   const p = ['x', 'y', 'z'].slice(0, run.dimension).map((axis) => number(run.position[axis][k], 4));
   const covariance = run.covarianceOf.get(k);
@@ -51,7 +66,7 @@ function chosenPose(run, k, onStep) {
   return element('div', {class: 'chosen'},
     element('strong', {}, `Pose ${run.id[k]}`), ` · ${fate(run, k)} · at (${p.join(', ')}) m · `,
     sizes ? `95 % half axes ${sizes.join(', ')} m` : run.kept[k] ? 'no covariance given' : 'a dropped pose has no ellipsoid here', ' ',
-    element('button', {type: 'button', class: 'link-button', onclick: () => onStep(k)}, 'go to its step'));
+    element('button', {type: 'button', class: 'link-button', onclick: () => onStep(k)}, 'go to its step'), edgesAt(run, k));
 }
 
 // `node` is filled anew. `chosen`: index of the pose clicked last in this run, or null.
@@ -68,8 +83,8 @@ export function showDecision(node, run, k, {named, chosen, onStep}) {
   const parts = [
     element('div', {class: 'card-head'},
       element('h2', {}, named ? `${run.name}: ` : '', `pose ${run.id[k]}`),
-      element('span', {class: `badge ${run.kept[k] ? 'badge-kept' : 'badge-dropped'}`},
-        run.kept[k] ? 'kept' : 'dropped', verdictInShort(run, k) && element('span', {class: 'badge-why'}, verdictInShort(run, k)))),
+      element('span', {class: `badge ${run.kept[k] ? 'badge-kept' : run.anchored[k] ? 'badge-anchored' : 'badge-dropped'}`},
+        run.kept[k] ? 'kept' : run.anchored[k] ? 'not kept' : 'dropped', verdictInShort(run, k) && element('span', {class: 'badge-why'}, verdictInShort(run, k)))),
     element('p', {class: 'explanation'}, explain(run, k)),
     gauge(decisions.pose_gain?.[k], run.thresholds.min_pose_gain),
     element('dl', {class: 'counts'},
@@ -77,6 +92,7 @@ export function showDecision(node, run, k, {named, chosen, onStep}) {
         ['refused', known ? count('refused') : 'not recorded', 'by the innovation test'], ['poses', `${integer(keptSoFar)} (${percent(keptSoFar, k + 1)})`, 'kept so far'],
         ['links', integer(run.linksBy[k]), 'kept so far']]
         .map(([name, value, why]) => element('div', {title: why}, element('dt', {}, name), element('dd', {}, value)))),
+    composedList(run, k),
     list.length > 0 ? candidateTable(run, list)
       : element('p', {class: 'empty'}, !decisions.candidates?.length ? 'The candidates of the steps are not known: the run wrote no decisions.'
         : 'No kept pose was considered for a link at this step.'),

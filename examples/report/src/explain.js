@@ -6,6 +6,7 @@ import {integer, number, plural} from './format.js';
 const kShort = {
   first: 'first pose', all_kept: 'all poses are kept', loop_closed: 'a loop closes', prior: 'it has a prior',
   nothing_in_range: 'nothing in range', informative: 'informative', redundant: 'redundant', drawn: 'drawn by lot',
+  anchored: 'found again',
 };
 
 export const nats = (x) => (isNumber(x) ? `${number(x, 3)} nats` : 'an unknown gain');
@@ -45,9 +46,34 @@ export function explain(run, k) {
       if (run.kept[k]) return 'It was dropped at first. A later loop led to it and told more than could be carried along its odometry, so it came back into the map.';
       if (run.stats.strategy === 'rfpfl') return 'The lot did not fall on this pose; its odometry goes into that of the next kept one.';
       return `The least informative link to a kept pose would bring only ${nats(gain)}, not more than the threshold of ${nats(threshold)}: the kept poses know this place already. Its odometry goes into that of the next kept pose.`;
+    case 'anchored': return explainAnchored(run, k);
     case 'drawn': return 'The lot fell on this pose: strategy rfpfl keeps poses at random.';
     default: return run.kept[k] ? 'The pose is part of the map.' : 'The pose is not part of the map; its place is recovered from the kept poses around it.';
   }
+}
+
+// "made of 7 measurements", of an edge between kept poses.
+export function madeOf({measurements, ofLinks}) {
+  const what = ofLinks ? ' composed of links' : '';
+  return measurements > 1 ? `made of ${integer(measurements)} measurements` : `one measurement${what}`;
+}
+
+const between = (run, from, to) => `${run.id[from] ?? 'unknown'} – ${run.id[to] ?? 'unknown'}`;
+
+// What the links of step k made: [{edge, words}], words with what the edge is by the end of the run.
+export function composedAt(run, k) {
+  return (run.decisions.edges?.[k] ?? []).map(([from, to, gain, fused]) => {
+    const now = run.ofSeveral.find((edge) => (edge.from === from && edge.to === to) || (edge.from === to && edge.to === from));
+    const became = fused ? 'fused with the edge that joined the two already' : 'a new edge';
+    return {edge: between(run, from, to), words: `${became}: ${nats(gain)} about the map${now ? `; by the end the edge is ${madeOf(now)}` : ''}`};
+  });
+}
+
+function explainAnchored(run, k) {
+  const base = run.anchoredTo[k], made = run.decisions.edges?.[k]?.length ?? 0;
+  if (run.kept[k]) return 'It was found again at first. A later loop led to it and told more than could be carried along its chain, so it came back into the map.';
+  return `A link found the robot in known terrain: its chain starts anew at kept pose ${base === null ? 'unknown' : run.id[base]}, with the link's own precision, and the pose is not kept. `
+    + (made > 0 ? `Together with the chain or with each other, further links made ${plural(made, 'measurement')} between kept poses.` : 'Its links told the map too little for an edge between kept poses.');
 }
 
 const kNoLink = {word: 'the file has no such link', why: 'in range, but no edge of the file joins the two poses'};
@@ -60,6 +86,9 @@ const failed = (run) => (run.stats.frames === undefined ? kNoLink
 export function outcome(run, candidate) {
   const [, , gain, measured, accepted, innovation, tried, came] = candidate;
   const threshold = run.thresholds.min_loop_gain;
+  const kRoles = {anchors: {word: 'found again', why: 'the chain starts anew with this link, which is no edge of the map'},
+    composed: {word: 'composed', why: 'it is part of a measurement between kept poses'}};
+  if (kRoles[candidate[8]]) return kRoles[candidate[8]];
   if (accepted) return {word: 'accepted', why: 'linked'};
   if (!isNumber(measured)) {
     if (came === 0 && run.stats.frames === undefined) return kNoLink;
@@ -78,8 +107,10 @@ export function titleOf(run) {
   const kept = run.keptBy[run.n - 1] ?? 0, links = run.linksBy[run.n - 1] ?? 0;
   const offered = run.stats.links_offered;
   const of = isNumber(offered) ? ` of ${integer(offered)}` : '';
+  const anchored = run.anchoredBy[run.n - 1] ?? 0;
+  const again = anchored > 0 ? `; ${plural(anchored, 'pose was', 'poses were')} found again at kept ones` : '';
   return {
     short: `${integer(kept)}\u202f/\u202f${integer(run.n)} poses, ${plural(links, 'link')}`,
-    long: `keeps ${integer(kept)} of ${plural(run.n, 'pose')} and ${integer(links)}${of} ${links === 1 && !of ? 'link' : 'links'} beside the odometry`,
+    long: `keeps ${integer(kept)} of ${plural(run.n, 'pose')} and ${integer(links)}${of} ${links === 1 && !of ? 'link' : 'links'} beside the odometry${again}`,
   };
 }

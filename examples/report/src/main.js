@@ -3,7 +3,7 @@
 import {cssColour, gainScale, ramp} from './colour.js';
 import {align, boxOf, isNumber, readReport, shareIds, verticalAxis} from './data.js';
 import {showDecision} from './decision.js';
-import {fate, titleOf} from './explain.js';
+import {fate, madeOf, titleOf} from './explain.js';
 import {element, icon, integer, kIcons, number, plural} from './format.js';
 import {kLayers, halfAxes, MapScene} from './scene3d.js';
 import {Plots} from './plots.js';
@@ -17,6 +17,7 @@ const kMagnifications = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 1
 
 const kLayerWords = {
   kept: ['kept', 'poses of the map'], dropped: ['dropped', 'poses left out, recovered from the kept ones around them'],
+  anchored: ['found again', 'poses not kept whose chain starts anew at a kept pose'],
   odometry: ['odometry', 'edges along the way; over dropped poses one edge'], links: ['links', 'edges beside the odometry, coloured by gain'],
   truth: ['truth', 'ground truth, laid over the estimate'], candidates: ['candidates', 'kept poses considered for a link at this step; solid: accepted'],
   ellipsoids: ['ellipsoids', '95 % of the position, of the poses chosen below'],
@@ -180,14 +181,14 @@ class Page {
 
   has(name) {
     return this.runs.some((run) => ({
-      kept: true, dropped: run.kept.includes(0), odometry: run.chain.from.length > 0, links: run.links.from.length > 0, truth: !!run.truth,
+      kept: true, dropped: run.kept.some((kept, i) => !kept && !run.anchored[i]), anchored: run.anchored.includes(1), odometry: run.chain.from.length > 0, links: run.links.from.length > 0, truth: !!run.truth,
       candidates: run.decisions.candidates?.length > 0, ellipsoids: run.covariances.pose.length > 0,
     })[name]);
   }
 
   layerChips() {
     this.chipCounts = {};
-    $('layers').append(...kLayers.map((name) => {
+    $('layers').append(...kLayers.filter((name) => name !== 'anchored' || this.has(name)).map((name) => {
       const [label, why] = kLayerWords[name], has = this.has(name);
       const box = element('input', {type: 'checkbox', checked: has, disabled: !has, 'data-layer': name, onchange: () => {
         for (const map of this.maps) map.setVisible(name, box.checked);
@@ -262,7 +263,9 @@ class Page {
     if (!hit) return;
     const run = this.runs[hit.run], rect = $('stage').getBoundingClientRect();
     const covariance = run.covarianceOf.get(hit.pose);
-    tip.textContent = `pose ${run.id[hit.pose]} · ${fate(run, hit.pose)}${covariance ? ` · ±${number(Math.hypot(...halfAxes(covariance, run.dimension)[0]), 2)} m` : ''}`;
+    const several = run.ofSeveral.filter(({from, to}) => from === hit.pose || to === hit.pose);
+    const most = several.length > 0 ? ` · ${several[0].kind} to ${run.id[several[0].from === hit.pose ? several[0].to : several[0].from]} ${madeOf(several[0])}${several.length > 1 ? `, and ${several.length - 1} more such` : ''}` : '';
+    tip.textContent = `pose ${run.id[hit.pose]} · ${fate(run, hit.pose)}${most}${covariance ? ` · ±${number(Math.hypot(...halfAxes(covariance, run.dimension)[0]), 2)} m` : ''}`;
     const x = Math.min(event.clientX - rect.left + 14, rect.width - tip.offsetWidth - 6);
     tip.style.transform = `translate(${x}px, ${Math.max(event.clientY - rect.top - 34, 4)}px)`;
   }
@@ -277,7 +280,8 @@ class Page {
     this.paneCounts();
     const sum = (of) => this.runs.map((run, r) => of(run, this.indexOf(r), r)).map(integer).join(' | ');
     this.chipCounts.kept.textContent = sum((run, k) => run.keptBy[k] ?? 0);
-    this.chipCounts.dropped.textContent = sum((run, k) => (run.n ? k + 1 - run.keptBy[k] : 0));
+    this.chipCounts.dropped.textContent = sum((run, k) => (run.n ? k + 1 - run.keptBy[k] - run.anchoredBy[k] : 0));
+    if (this.chipCounts.anchored) this.chipCounts.anchored.textContent = sum((run, k) => run.anchoredBy[k] ?? 0);
     this.chipCounts.links.textContent = sum((run, k) => run.linksBy[k] ?? 0);
   }
 

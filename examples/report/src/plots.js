@@ -9,6 +9,7 @@ import {element, number, seconds} from './format.js';
 const kHeight = 168;
 const kMissing = 'Not recorded in this run.';
 
+const squareMetres = (x) => `${number(x, 4)} m²`;
 const positive = (list) => list?.map((x) => (isNumber(x) && x > 0 ? x : null));
 const some = (list) => Array.isArray(list) && list.some(isNumber);
 const words = (name) => String(name ?? 'gate').replace(/_/g, ' ');
@@ -26,6 +27,10 @@ function chartsOf(run) {
   return [
     {key: 'counts', title: 'Poses and links kept', series: [{label: 'poses', values: steps.poses ?? Array.from(run.keptBy)},
       {label: 'links', values: steps.links ?? Array.from(run.linksBy), dash: true}]},
+    {key: 'area', title: 'Kept poses and explored area', unit: run.area ? `in cells of ${number(run.area.cell, 3)} m, the range` : '',
+      series: [{label: 'poses', values: run.area && (steps.poses ?? Array.from(run.keptBy))},
+        {label: 'area', values: run.area?.explored, dash: true, right: true, format: squareMetres}],
+      empty: 'The range of the sensor is not known, so there are no cells to count.'},
     {key: 'gain', title: 'Greatest gain of the links of a step', unit: 'nats', threshold: thresholds.min_loop_gain,
       series: [{label: 'gain', values: steps.gain, dots: true}],
       empty: 'No accepted link has a measured gain. (Strategies that keep every link measure none.)'},
@@ -126,6 +131,8 @@ export class Plots {
     const axis = {stroke: text, font: '11px system-ui, sans-serif', grid: {stroke: grid, width: 1}, ticks: {show: false}, gap: 6};
     const format = chart.format ?? ((x) => number(x, 3));
     const few = series[0].values.length <= 400;
+    const right = series.find((one) => one.right);  // has a scale of its own
+    const fromZero = (u, low, high) => (high == null ? [0, 1] : uPlot.rangeNum(0, high, 0.08, true));
     const drawThresholds = (u) => {
       for (const {value, colour} of thresholds) {
         const y = u.valToPos(value, 'y', true);
@@ -159,11 +166,12 @@ export class Plots {
     return {
       width: 300, height: kHeight, legend: {show: false}, padding: [8, 8, 0, 0],
       cursor: {y: false, drag: {x: false, y: false, setScale: false}, points: {size: 6}},
-      scales: {x: {time: false, range: [0, Math.max(this.alignment.count - 1, 1)]}, y: chart.log ? {distr: 3} : {range}},
+      scales: {x: {time: false, range: [0, Math.max(this.alignment.count - 1, 1)]}, y: chart.log ? {distr: 3} : {range}, ...(right ? {right: {range: fromZero}} : {})},
       axes: [{...axis, size: 26, space: 60, values: (u, list) => list.map((x) => (Number.isInteger(x) ? number(x) : ''))},
-        {...axis, size: 56, space: 28, ...(chart.log ? {splits: powersOfTen, filter: (u, list) => list} : {}), values: (u, list) => list.map((x) => (x == null ? '' : format(x)))}],
+        {...axis, size: 56, space: 28, ...(chart.log ? {splits: powersOfTen, filter: (u, list) => list} : {}), values: (u, list) => list.map((x) => (x == null ? '' : format(x)))},
+        ...(right ? [{...axis, scale: 'right', side: 1, size: 62, space: 28, grid: {show: false}, values: (u, list) => list.map(right.format)}] : [])],
       series: [{}, ...series.map((one) => ({
-        label: one.label, stroke: one.colour, width: 1.5, dash: one.dash ? [5, 4] : undefined, spanGaps: true,
+        label: one.label, scale: one.right ? 'right' : 'y', stroke: one.colour, width: 1.5, dash: one.dash ? [5, 4] : undefined, spanGaps: true,
         ...(one.dots ? {paths: () => null, points: dotsOf(one, few)}
           : {points: {show: false}}),
       }))],
@@ -206,7 +214,7 @@ export class Plots {
       for (const {node, last, one} of values) {
         // Of dots only what belongs to this very step; lines hold until their next value.
         const at = last[position];
-        node.textContent = at < 0 || (one.dots && at !== position) ? 'none' : format(one.values[at]);
+        node.textContent = at < 0 || (one.dots && at !== position) ? 'none' : (one.format ?? format)(one.values[at]);
       }
     }
   }

@@ -7,7 +7,7 @@ import {isNumber, kChi2} from './data.js';
 import {principalAxes} from './eigen.js';
 import {colourUniform, dots, ellipsoids, hairlines, marker, segments} from './layers.js';
 
-export const kLayers = ['kept', 'dropped', 'odometry', 'links', 'truth', 'candidates', 'ellipsoids'];
+export const kLayers = ['kept', 'dropped', 'anchored', 'odometry', 'links', 'truth', 'candidates', 'ellipsoids'];
 const kMostCandidates = 512, kMostChosen = 64;  // drawn at a time
 
 // The half axes of the 95 % ellipsoid of a position, long ones first, metres.
@@ -41,7 +41,8 @@ export class MapScene {
       odometry: add(segments(this.pairs('odometry', run.chain, 'to', () => -1), {width: many ? 1.1 : 1.5, order: 2})),
       links: add(manyLinks ? hairlines(this.pairs('links', run.links, 'step', level), {order: 3, opacity: 0.7})
         : segments(this.pairs('links', run.links, 'step', level), {width: run.links.from.length > 500 ? 1.5 : 2.4, order: 3, opacity: 0.9})),
-      dropped: add(dots(this.points('dropped', (i) => !run.kept[i]), {size: many ? 3.2 : 5, stroke: many ? 0 : 1.2, order: 4})),
+      dropped: add(dots(this.points('dropped', (i) => !run.kept[i] && !run.anchored[i]), {size: many ? 3.2 : 5, stroke: many ? 0 : 1.2, order: 4})),
+      anchored: add(dots(this.points('anchored', (i) => run.anchored[i]), {size: many ? 3.2 : 5, stroke: many ? 0 : 1.2, order: 4})),
       kept: add(dots(this.points('kept', (i) => run.kept[i]), {size: many ? 4 : 7, order: 5, lift: 2})),
     };
     this.candidateColours = {value: []};
@@ -157,7 +158,7 @@ export class MapScene {
 
   setTheme() {
     const set = (layer, name) => layer.uniforms.colour.value.set(...rgbVariable(name));
-    const names = {kept: '--kept', dropped: '--dropped', odometry: '--odometry', links: '--no-gain', truth: '--truth'};
+    const names = {kept: '--kept', dropped: '--dropped', anchored: '--anchored', odometry: '--odometry', links: '--no-gain', truth: '--truth'};
     for (const [name, layer] of Object.entries(this.layers)) set(layer, names[name]);
     set(this.current, '--current');
     set(this.currentDot, '--current');
@@ -181,7 +182,7 @@ export class MapScene {
   pick(project, x, y, reach) {
     let best = null, least = reach;
     for (let i = 0; i <= this.step && i < this.run.n; i++) {
-      if (!this.visible[this.run.kept[i] ? 'kept' : 'dropped']) continue;
+      if (!this.visible[this.run.kept[i] ? 'kept' : this.run.anchored[i] ? 'anchored' : 'dropped']) continue;
       const at = project(this.point(this.run.position, i));
       if (!at) continue;
       const distance = Math.hypot(at[0] - x, at[1] - y) - (this.run.kept[i] ? 3 : 0);

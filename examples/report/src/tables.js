@@ -1,11 +1,13 @@
 // Thresholds and summary, each number with its key and its full value beside the one for people.
 
 import {isNumber} from './data.js';
+import {madeOf, nats} from './explain.js';
 import {element, integer, number, plural, seconds} from './format.js';
 
 const kLabels = {
   poses: 'poses of the input', edges: 'edges of the input', loop_edges: 'loop edges of the input', poses_kept: 'poses kept', links_kept: 'links kept',
   links_offered: 'links offered', links_refused: 'links refused by the innovation test', registrations_tried: 'registrations tried',
+  poses_anchored: 'poses found again at kept ones', edges_composed: 'edges that hold composed measurements', measurements_composed: 'measurements composed of links', edges_fused: 'edges fused of several measurements',
   chi2: 'χ² of the map', normalized_chi2: 'χ² per measured scalar', log_determinant: 'ln det H', peak_rss_mb: 'peak memory, MB',
   'step_seconds.median': 'median', 'step_seconds.p95': '95th percentile', 'step_seconds.p99': '99th percentile', 'step_seconds.max': 'greatest',
   'sample.poses': 'poses', 'sample.loop_gain_90': '90th percentile of loop gains, nats', 'sample.pose_gain_90': '90th percentile of pose gains, nats',
@@ -13,7 +15,7 @@ const kLabels = {
 };
 const kGroups = {seconds: 'Time', step_seconds: 'Time of a step', sample: 'Sample that thresholds were chosen from', errors: 'Errors', odometry_errors: 'Errors of the odometry alone',
   milliseconds_per_frame: 'Milliseconds per frame', robust: 'Robust cost'};
-const kOrder = ['strategy', 'poses', 'poses_kept', 'loop_edges', 'edges', 'links_offered', 'links_kept', 'registrations_tried', 'links_refused', 'chi2',
+const kOrder = ['strategy', 'poses', 'poses_kept', 'loop_edges', 'edges', 'links_offered', 'links_kept', 'poses_anchored', 'edges_composed', 'measurements_composed', 'edges_fused', 'registrations_tried', 'links_refused', 'chi2',
   'normalized_chi2', 'converged', 'termination', 'iterations'];
 const kThresholds = {
   range: ['Sensor range', 'displacements within it can be registered'], probability: ['Least probability', 'of being in range, per dimension'],
@@ -102,9 +104,28 @@ function summaryCard(runs) {
     tables.length ? element('div', {class: 'scroll summary-groups'}, tables) : element('p', {class: 'empty'}, 'The run has no stats.json.'));
 }
 
+const kMostEdges = 200;
+
+// Which edges of the map are not one measurement. Nothing for runs without such.
+function edgesCard(runs) {
+  if (runs.every((run) => run.ofSeveral.length === 0)) return null;
+  const head = ['edge', 'kind', 'measurements', 'gain'].map((name) => element('th', {scope: 'col'}, name));
+  const tables = runs.map((run, r) => [
+    runs.length > 1 && element('h3', {}, element('i', {class: 'swatch swatch-dot', style: `--c:var(--run-${r % 4})`}), run.name),
+    element('p', {class: 'muted'}, `${plural(run.ofSeveral.length, 'edge')} between kept poses ${run.ofSeveral.length === 1 ? 'is' : 'are'} composed of links or fused of several measurements.`),
+    run.ofSeveral.length > 0 && element('table', {class: 'numbers edges-of-several'}, element('thead', {}, element('tr', {}, head)),
+      element('tbody', {}, run.ofSeveral.slice(0, kMostEdges).map((edge) => element('tr', {},
+        element('th', {scope: 'row'}, `${run.id[edge.from]} – ${run.id[edge.to]}`), element('td', {}, edge.kind),
+        element('td', {title: madeOf(edge)}, madeOf(edge)), element('td', {}, isNumber(edge.gain) ? nats(edge.gain) : 'none'))))),
+    run.ofSeveral.length > kMostEdges && element('p', {class: 'muted'}, `and ${integer(run.ofSeveral.length - kMostEdges)} more`)]);
+  return element('section', {class: 'card', id: 'edges', 'aria-labelledby': 'edges-title'},
+    element('div', {class: 'card-head'}, element('h2', {id: 'edges-title'}, 'Composed and fused edges')),
+    element('div', {class: 'scroll edges-list', tabindex: '0', role: 'region', 'aria-label': 'Composed and fused edges'}, tables.flat().filter(Boolean)));
+}
+
 export function showTables(node, runs) {
   node.classList.toggle('compare', runs.length > 1);
-  node.replaceChildren(thresholdsCard(runs), summaryCard(runs));
+  node.replaceChildren(...[thresholdsCard(runs), summaryCard(runs), edgesCard(runs)].filter(Boolean));
   for (const td of node.querySelectorAll('td[data-value]')) td.title = td.dataset.value;
 }
 
@@ -119,6 +140,7 @@ export function showFigures(node, runs) {
   const figures = [
     ['Poses kept', (run) => [integer(run.keptBy[run.n - 1] ?? 0), `of ${integer(run.n)}`]],
     ['Links kept', (run) => [integer(run.linksBy[run.n - 1] ?? 0), isNumber(run.stats.links_offered) ? `of ${integer(run.stats.links_offered)}` : 'beside the odometry']],
+    ...(runs.some((run) => isNumber(run.stats.poses_anchored)) ? [['Found again', (run) => [integer(run.anchoredBy[run.n - 1] ?? 0), 'poses, at kept ones']]] : []),
     ['Registrations', (run) => [isNumber(run.stats.registrations_tried) ? integer(run.stats.registrations_tried) : isNumber(run.stats.compared) ? integer(run.stats.compared) : 'not recorded', 'tried']],
     ['Error (ATE)', (run) => {
       const ate = run.stats.errors?.ate_m;

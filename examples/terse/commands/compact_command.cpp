@@ -103,7 +103,9 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
 // Where the file has loops and next to none of them is in the map, why, and what to change.
 void WarnOfLostLoops(const Stats& stats, const CompactCommandOptions& options) {
   const auto number = [&](const char* key) { return stats.more.at(key).get<long>(); };
-  const long offered = number("links_offered"), kept = number("links_kept"), refused = number("links_refused");
+  const long offered = number("links_offered"), refused = number("links_refused");
+  long kept = number("links_kept");
+  if (options.strategy == Strategy::kBounded) kept += number("poses_anchored") + number("measurements_composed");
   if (offered == 0 || options.strategy == Strategy::kApal || options.strategy == Strategy::kGiven) return;
   const bool are_rare = 10 * offered <= static_cast<long>(stats.poses);
   const bool distrusted = refused > kept, uninformative = kept == 0 || (are_rare && 5 * kept < offered);
@@ -119,7 +121,7 @@ void WarnOfLostLoops(const Stats& stats, const CompactCommandOptions& options) {
   }
 }
 
-void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
+void PrintSummary(const Stats& stats, const std::string& composed, const CompactCommandOptions& options) {
   const auto percent = [](double part, double whole) { return whole > 0 ? 100 * part / whole : 100.0; };
   const auto number = [&](const char* key) { return stats.more.at(key).get<long>(); };
   char line[256];
@@ -131,7 +133,7 @@ void PrintSummary(const Stats& stats, const CompactCommandOptions& options) {
                 number("links_kept"), number("links_offered"),
                 percent(static_cast<double>(number("links_kept")), static_cast<double>(number("links_offered"))),
                 number("registrations_tried"), number("links_refused"));
-  std::cout << line;
+  std::cout << line << composed;
   std::snprintf(line, sizeof(line), "chi2 %g of the kept map, %.2f s; results in %s\n", stats.chi2, stats.seconds_total,
                 options.directory.c_str());
   std::cout << line;
@@ -273,7 +275,7 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
   if (!options.quiet) {
-    PrintSummary(stats, options);
+    PrintSummary(stats, Describe(CountComposed(run.slam)), options);
     WarnOfLostLoops(stats, options);
   }
   const std::string undetermined = run.slam.Solver().DescribeUndetermined();

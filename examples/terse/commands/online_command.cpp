@@ -9,6 +9,7 @@
 #include "commands/convention_options.h"
 #include "commands/output_paths.h"
 #include "commands/verbose.h"
+#include "run/compact_stats.h"
 #include "run/journal.h"
 #include "run/line_source.h"
 #include "run/online_json.h"
@@ -120,6 +121,7 @@ class OnlineRun {
     if (!undetermined.empty() && !options_.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
     WriteMapAndTrajectory(slam_, result, options_.recovery, options_.read.rotation_information, options_.directory);
     WriteDecisions(decisions_, options_.directory + "/decisions.csv");
+    if (!options_.quiet) std::cerr << Describe(CountComposed(slam_));
   }
 
  private:

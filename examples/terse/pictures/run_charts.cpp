@@ -1,8 +1,10 @@
 #include "pictures/run_charts.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "pictures/svg_chart.h"
+#include "terse/compact/explored_area.h"
 
 namespace terse {
 namespace {
@@ -29,6 +31,20 @@ ChartLine Column(const std::string& name, const RunFolder& run, const std::strin
     if (!std::isfinite(found->second[k])) continue;
     line.x.push_back(static_cast<double>(k + 1));
     line.y.push_back(found->second[k]);
+  }
+  return line;
+}
+
+// A map bounded by area goes to the right, one that grows with time upwards.
+ChartLine PosesOverArea(const std::string& name, const RunFolder& run) {
+  ChartLine line{name, {}, {}};
+  const std::vector<double> area = ExploredArea(run.T_world_body, run.range_m.value_or(0));
+  const auto poses = run.steps.find("poses");
+  if (poses == run.steps.end()) return line;
+  for (std::size_t k = 0; k < std::min(area.size(), poses->second.size()); ++k) {
+    if (!std::isfinite(poses->second[k])) continue;
+    line.x.push_back(area[k]);
+    line.y.push_back(poses->second[k]);
   }
   return line;
 }
@@ -92,6 +108,7 @@ std::string DrawTimings(const std::vector<RunFolder>& runs) {
   ChartPanel step{"Time of a step", "step", "seconds", {}}, total{"Time in all", "step", "seconds", {}};
   ChartPanel size{"Poses and loops of the map", "step", "number", {}};
   ChartPanel nonzeros{"Nonzeros of the factor", "step", "number", {}};
+  ChartPanel area{"Kept poses as the area grows", "explored area [m\u00b2]", "poses", {}};
   ChartPanel gate{"Gate of the solver", "step", "share of chi2", {}}, ate{"ATE", "step", "metres", {}};
   step.log_y = gate.log_y = true;
   for (const RunFolder& run : runs) {
@@ -100,11 +117,12 @@ std::string DrawTimings(const std::vector<RunFolder>& runs) {
     total.lines.push_back(Cumulative(Column(name, run, "seconds")));
     size.lines.push_back(Column(LineName(runs, run, "poses"), run, "poses"));
     size.lines.push_back(Column(LineName(runs, run, "loops"), run, "links"));
+    area.lines.push_back(PosesOverArea(LineName(runs, run, ""), run));
     nonzeros.lines.push_back(Column(name, run, "factor_nonzeros"));
     gate.lines.push_back(Dots(Column(name, run, "gate_value")));
     ate.lines.push_back(Column(name, run, "ate_m"));
   }
-  std::vector<ChartPanel> panels{step, total, size, nonzeros, gate};
+  std::vector<ChartPanel> panels{step, total, size, area, nonzeros, gate};
   for (const ChartLine& line : ate.lines) {
     if (!line.x.empty()) {
       panels.push_back(ate);

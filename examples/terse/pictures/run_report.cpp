@@ -10,6 +10,7 @@
 #include "pictures/report_page.h"
 #include "pictures/svg_chart.h"
 #include "terse/compact/decision.h"
+#include "terse/compact/explored_area.h"
 #include "terse/compact/json_file.h"
 #include "terse/core/words.h"
 
@@ -41,7 +42,8 @@ Json Positions(const std::vector<SE3>& poses) {
 const std::vector<std::string>& Verdicts() {
   static const std::vector<std::string> names = [] {
     std::vector<std::string> out;
-    for (int k = 0; k <= static_cast<int>(PoseVerdict::kGiven); ++k) out.push_back(Name(static_cast<PoseVerdict>(k)));
+    for (int k = 0; k <= static_cast<int>(PoseVerdict::kAnchored); ++k)
+      out.push_back(Name(static_cast<PoseVerdict>(k)));
     return out;
   }();
   return names;
@@ -61,47 +63,63 @@ Json Poses(const RunFolder& run) {
   return out;
 }
 
+// How many measurements an edge is made of, and whether links of poses that are not kept are among them.
+template <class Edge>
+void AddParts(const Edge& edge, Json& out) {
+  out["measurements"].push_back(edge.measurements);
+  out["made_of_links"].push_back(edge.composed ? 1 : 0);
+}
+
 Json Links(const RunFolder& run) {
-  Json out = {{"from", Json::array()},
-              {"to", Json::array()},
-              {"step", Json::array()},
-              {"gain", Json::array()},
-              {"innovation", Json::array()}};
+  Json out = {{"from", Json::array()},         {"to", Json::array()},         {"step", Json::array()},
+              {"gain", Json::array()},         {"innovation", Json::array()}, {"measurements", Json::array()},
+              {"made_of_links", Json::array()}};
   for (const RunLink& link : run.links) {
     out["from"].push_back(link.from);
     out["to"].push_back(link.to);
     out["step"].push_back(link.step);
     out["gain"].push_back(Short(link.gain));
     out["innovation"].push_back(Short(link.innovation));
+    AddParts(link, out);
   }
   return out;
 }
 
 Json Chain(const RunFolder& run) {
-  Json out = {{"from", Json::array()}, {"to", Json::array()}, {"composed", Json::array()}};
+  Json out = {{"from", Json::array()},
+              {"to", Json::array()},
+              {"composed", Json::array()},
+              {"measurements", Json::array()},
+              {"made_of_links", Json::array()}};
   for (const RunChain& edge : run.chain) {
     out["from"].push_back(edge.from);
     out["to"].push_back(edge.to);
     out["composed"].push_back(edge.dropped);
+    AddParts(edge, out);
   }
   return out;
 }
 
 Json Decisions(const RunFolder& run) {
-  Json out = {{"pose_gain", Json::array()},
-              {"registrations", Json::array()},
-              {"accepted", Json::array()},
-              {"refused", Json::array()},
+  Json out = {{"pose_gain", Json::array()}, {"registrations", Json::array()}, {"accepted", Json::array()},
+              {"refused", Json::array()},   {"anchored_to", Json::array()},   {"edges", Json::array()},
               {"candidates", Json::array()}};
   for (const RunDecision& decision : run.decisions) {
     out["pose_gain"].push_back(Short(decision.pose_gain));
     out["registrations"].push_back(decision.registrations_tried);
     out["accepted"].push_back(decision.links_accepted);
     out["refused"].push_back(decision.links_refused);
+    out["anchored_to"].push_back(decision.anchored_to ? Json(*decision.anchored_to) : Json());
+    Json edges = Json::array();
+    for (const RunComposedEdge& edge : decision.edges) {
+      edges.push_back({edge.from, edge.to, Short(edge.gain), edge.fused ? 1 : 0});
+    }
+    out["edges"].push_back(std::move(edges));
     Json candidates = Json::array();
     for (const RunCandidate& c : decision.candidates) {
       candidates.push_back({c.pose, Short(c.probability), Short(c.gain), Short(c.measured_gain), c.accepted ? 1 : 0,
                             Short(c.innovation), Flag(c.tried), Flag(c.measured)});
+      if (c.anchors || c.composed) candidates.back().push_back(c.anchors ? "anchors" : "composed");
     }
     out["candidates"].push_back(std::move(candidates));
   }
@@ -132,6 +150,15 @@ Json Steps(const RunFolder& run) {
   return out;
 }
 
+// Explored by each pose, if the range of the sensor is known.
+Json Area(const RunFolder& run) {
+  Json out = {{"cell", Short(run.range_m)}, {"explored", Json::array()}};
+  for (const double area : ExploredArea(run.T_world_body, run.range_m.value_or(0))) {
+    out["explored"].push_back(Short(area));
+  }
+  return out;
+}
+
 Json ToJson(const RunFolder& run) {
   Json out;
   out["name"] = run.name;
@@ -144,6 +171,7 @@ Json ToJson(const RunFolder& run) {
   out["decisions"] = Decisions(run);
   out["covariances"] = Covariances(run);
   out["steps"] = Steps(run);
+  out["area"] = Area(run);
   // That of compact runs, which the command offers no choice of.
   out["gate"] = WordOf(Gate::kNewtonDecrement);
   out["gate_unit"] = "share of chi2";

@@ -13,6 +13,30 @@ std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int d
 }
 
 template <class Pose>
+std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<Pose>& slam) {
+  if (slam.Options().strategy != Strategy::kBounded) return std::nullopt;
+  return CountComposed(slam.Export());
+}
+
+void AddTo(nlohmann::ordered_json& stats, const std::optional<ComposedCounts>& counts) {
+  if (!counts) return;
+  stats["poses_anchored"] = counts->anchored;
+  stats["edges_composed"] = counts->edges;
+  stats["measurements_composed"] = counts->measurements;
+  stats["edges_fused"] = counts->fused;
+}
+
+std::string Describe(const std::optional<ComposedCounts>& counts) {
+  if (!counts) return "";
+  const auto of = [](long count, const char* one, const char* many) {
+    return std::to_string(count) + ' ' + (count == 1 ? one : many);
+  };
+  return of(counts->anchored, "pose was", "poses were") + " found again at kept poses (anchored); " +
+         of(counts->edges, "edge holds ", "edges hold ") + of(counts->measurements, "measurement", "measurements") +
+         " composed of links, " + of(counts->fused, "edge is", "edges are") + " fused of several\n";
+}
+
+template <class Pose>
 Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const std::optional<Evaluation>& errors) {
   Stats stats;
   const EdgeCounts kept = CountEdges(run.slam.Solver().Graph());
@@ -32,6 +56,7 @@ Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const
   stats.more["links_offered"] = run.links_offered;
   stats.more["registrations_tried"] = run.registrations_tried;
   stats.more["links_refused"] = run.links_refused;
+  AddTo(stats.more, CountComposed(run.slam));
   stats.more["restarts"] = run.slam.Solver().Restarts();
   nlohmann::ordered_json thresholds = ThresholdsToJson(run.slam.Options().thresholds);
   thresholds.erase("link_covariance");
@@ -45,6 +70,8 @@ Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const
   return stats;
 }
 
+template std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<SE2>&);
+template std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<SE3>&);
 template Stats MakeStats<SE2>(const PoseGraph<SE2>&, const CompactRun<SE2>&, const std::optional<Evaluation>&);
 template Stats MakeStats<SE3>(const PoseGraph<SE3>&, const CompactRun<SE3>&, const std::optional<Evaluation>&);
 

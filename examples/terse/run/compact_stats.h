@@ -5,6 +5,7 @@
 
 #include "run/run_statistics.h"
 #include "terse/compact/compact_graph.h"
+#include "terse/compact/composed_counts.h"
 #include "terse/compact/run_writer.h"
 #include "terse/core/evaluate.h"
 
@@ -16,5 +17,11 @@ std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int d
 // Times but those of its steps are the caller's.
 template <class Pose>
 Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const std::optional<Evaluation>& errors);
+
+// What the strategy bounded made of links: keys of stats.json, and a line of words for the summary. Nothing for others.
+template <class Pose>
+std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<Pose>& slam);
+void AddTo(nlohmann::ordered_json& stats, const std::optional<ComposedCounts>& counts);
+std::string Describe(const std::optional<ComposedCounts>& counts);
 
 }  // namespace terse

@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <iostream>
 
+#include "run/compact_stats.h"
 #include "run/run_statistics.h"
 #include "run/standard_output.h"
 #include "terse/compact/json_file.h"
@@ -75,6 +76,7 @@ Json StatsToJson(const KittiRun& run, const KittiSequence& sequence, const std::
   json["refused_by_innovation"] = t.refused;
   json["poses_kept"] = slam.Map().Solver().Graph().Poses().size();
   json["links_kept"] = slam.Map().LinksKept();
+  AddTo(json, CountComposed(slam.Map()));
   json["keyframes_stored"] = slam.Verifier().Kept();
   json["feature_bytes"] = slam.Verifier().Bytes();
   json["chi2"] = run.result.chi2;
@@ -172,7 +174,7 @@ void PrintKittiSummary(const KittiRun& run, const std::optional<KittiErrors>& er
                 Name(run.slam.Map().Options().strategy), kept,
                 100.0 * static_cast<double>(kept) / std::max(1, t.frames), run.slam.Map().LinksKept(), t.candidates,
                 t.compared, t.verified, t.refused);
-  std::cout << line;
+  std::cout << line << Describe(CountComposed(run.slam.Map()));
   if (errors) {
     PrintErrors("map", errors->map);
     PrintErrors("odometry", errors->odometry);

@@ -21,12 +21,16 @@ struct RunLink {
   int from, to;
   int step;                                // the pose at which it was accepted
   std::optional<double> gain, innovation;  // nats; squared Mahalanobis distance
+  int measurements = 1;                    // that are one edge by now
+  bool composed = false;                   // of links of poses that are not kept, at least one of them
 };
 
 // Odometry of the kept map.
 struct RunChain {
   int from, to;
   int dropped;  // poses in between whose odometry was composed
+  int measurements = 1;
+  bool composed = false;  // loops of poses that are not kept fused with it
 };
 
 struct RunCovariance {
@@ -41,6 +45,14 @@ struct RunCandidate {
   std::optional<double> innovation;                        // squared Mahalanobis distance
   std::optional<bool> tried, measured;                     // absent in folders of earlier versions
   bool accepted = false;
+  bool anchors = false, composed = false;
+};
+
+// Between kept poses, made of links of a pose that is not kept (ComposedEdge).
+struct RunComposedEdge {
+  int from, to;                // by their places in the order of arrival
+  std::optional<double> gain;  // about the map, nats
+  bool fused = false;
 };
 
 // What was decided on a pose (Decision).
@@ -49,6 +61,8 @@ struct RunDecision {
   std::optional<double> pose_gain;     // nats
   std::int64_t registrations_tried = 0, links_accepted = 0, links_refused = 0;
   std::vector<RunCandidate> candidates;
+  std::optional<int> anchored_to;
+  std::vector<RunComposedEdge> edges;
 };
 
 struct RunFolder {
@@ -67,6 +81,7 @@ struct RunFolder {
   std::map<std::string, std::vector<double>> steps;  // columns of steps.csv, nan where a cell is empty
   // Of thresholds.json, nats, and of stats.json, metres, where they are numbers there.
   std::optional<double> min_loop_gain, min_pose_gain, ate_m;
+  std::optional<double> range_m;            // the sensor's, greatest direction
   std::string thresholds_json, stats_json;  // the two files as they are, each a JSON object
 };
 
