@@ -326,7 +326,9 @@ template <class Pose>
 std::vector<typename CompactPoseSlam<Pose>::Failed> CompactPoseSlam<Pose>::FailedNear(const Current& current) const {
   std::vector<Failed> out;
   for (const Failed& failed : failed_) {
-    if (AreNeighbours(Estimate(failed.seen), current.T_world_body)) out.push_back(failed);
+    // The pose at hand, where it has tried already, has no estimate yet.
+    const bool is_here = failed.seen == current.input->id;
+    if (is_here || AreNeighbours(Estimate(failed.seen), current.T_world_body)) out.push_back(failed);
   }
   return out;
 }

@@ -106,7 +106,7 @@ struct Setting {
   bool measured = false;  // loops come with the poses
 };
 
-constexpr std::array<Setting, 14> kSettings = {{
+constexpr std::array<Setting, 16> kSettings = {{
     {"fpfl", Strategy::kFpfl},
     {"fpfl, priors", Strategy::kFpfl, true, RobustKernel::kNone, true},
     {"fpfl, branches", Strategy::kFpfl, true, RobustKernel::kNone, false, true},
@@ -121,6 +121,8 @@ constexpr std::array<Setting, 14> kSettings = {{
     {"apal, searching, gnc, branches", Strategy::kApal, false, RobustKernel::kGnc, false, true},
     {"fpfl, loops", Strategy::kFpfl, true, RobustKernel::kNone, false, false, false, true},
     {"apfl, loops, gnc, branches", Strategy::kApfl, true, RobustKernel::kGnc, false, true, false, true},
+    {"bounded", Strategy::kBounded},
+    {"bounded, measured", Strategy::kBounded, true, RobustKernel::kNone, false, false, false, true},
 }};
 
 // A run over a random graph: its inputs, and what happens besides.
@@ -284,7 +286,8 @@ TYPED_TEST(CompactStateTest, ContinuesBitByBit) {
     if (setting.other) {
       EXPECT_GT(refused, 0) << "refused links are part of the state";
     }
-    EXPECT_EQ(dropped > 0, setting.strategy == Strategy::kFpfl) << setting.name;
+    EXPECT_EQ(dropped > 0, setting.strategy == Strategy::kFpfl || setting.strategy == Strategy::kBounded)
+        << setting.name;
   }
 }
 
