@@ -182,6 +182,12 @@ void BindSelection(Compact& type) {
       type, "composition", [](auto& o) -> auto& { return o.composition; },
       "Order of the covariances of chains over dropped poses: 'first' or 'fourth'.");
   DefField(
+      type, "keep_poses", [](auto& o) -> auto& { return o.budget.keep_poses; },
+      "Share of the poses that the map keeps in the long run: min_pose_gain is where the run starts, and follows.");
+  DefField(
+      type, "keep_links", [](auto& o) -> auto& { return o.budget.keep_links; },
+      "The same of the loops that come measured or are registered.");
+  DefField(
       type, "innovation_quantile", [](auto& o) -> auto& { return o.innovation_quantile; },
       "A link is refused whose innovation a correct one exceeds with less than the remaining probability. None: no "
       "test.");

@@ -134,7 +134,8 @@ class CompactOptions:
     def __init__(
         self, dimension: int, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike =
         ..., view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain:
-        float = ..., angle: Angle = ..., composition: Composition = ..., innovation_quantile: Optional[float] =
+        float = ..., angle: Angle = ..., composition: Composition = ...,
+        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., innovation_quantile: Optional[float] =
         ..., consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record =
         ..., solver: IncrementalOptions = ...,
     ) -> None: ...
@@ -188,6 +189,14 @@ class CompactOptions:
     def composition(self) -> Composition: ...
     @composition.setter
     def composition(self, value: Composition) -> None: ...
+    @property
+    def keep_poses(self) -> Optional[float]: ...
+    @keep_poses.setter
+    def keep_poses(self, value: Optional[float]) -> None: ...
+    @property
+    def keep_links(self) -> Optional[float]: ...
+    @keep_links.setter
+    def keep_links(self, value: Optional[float]) -> None: ...
     @property
     def innovation_quantile(self) -> Optional[float]: ...
     @innovation_quantile.setter
@@ -789,7 +798,8 @@ class Thresholds:
     def options(
         self, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ..., view_axis:
         ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
-        angle: Angle = ..., composition: Composition = ..., innovation_quantile: Optional[float] = ...,
+        angle: Angle = ..., composition: Composition = ...,
+        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., innovation_quantile: Optional[float] = ...,
         consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
         solver: IncrementalOptions = ...,
     ) -> CompactOptions: ...
@@ -833,7 +843,8 @@ def read_graph_file(
 def read_thresholds(
     path: PathLike, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ...,
     view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
-    angle: Angle = ..., composition: Composition = ..., innovation_quantile: Optional[float] = ...,
+    angle: Angle = ..., composition: Composition = ...,
+    keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., innovation_quantile: Optional[float] = ...,
     consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
     solver: IncrementalOptions = ...,
 ) -> CompactOptions: ...
