@@ -41,6 +41,14 @@ bool IsOnOdometry(const Seen& dropped) {
   return dropped.next_kept && dropped.ended_by < 0;
 }
 
+// As a measurement of the optimiser.
+template <class Pose>
+UncertainPose<Pose> Composed(const UncertainPose<Pose>& ab, const UncertainPose<Pose>& bc, CompositionOrder order) {
+  UncertainPose<Pose> ac = Compose(ab, bc, order);
+  if (order != CompositionOrder::kFirst) ac.covariance = RetractCovariance(ac);
+  return ac;
+}
+
 // The pose that a loop of the pose at hand leads to, kept or not.
 template <class Offer>
 PoseId MeasuredTo(const Offer& loop) {
@@ -178,10 +186,11 @@ void CompactPoseSlam<Pose>::Bound(Current& current, Decision& decision, const Re
   if (is_kept || tells_map) {
     if (!registers) search();
     for (Evaluated& e : candidates) {
-      if (e.ask.offer >= 0 && !IsRefused(e.record)) e.record.tried = false;
+      if (e.ask.offer >= 0) e.record.tried = IsRefused(e.record);
     }
-    CloseLoops(current, std::move(candidates), decision, registers ? registration : nullptr);
-    return;
+    CloseLoops(current, candidates, decision, registers ? registration : nullptr);
+    if (current.in_solver || is_kept) return;
+    decision.candidates.clear();  // the map has no solution with them; they may still say where the robot is
   }
   Anchor(current, decision, candidates, std::move(sightings));
   if (!current.is_anchored && !registers) search();
@@ -223,6 +232,7 @@ void CompactPoseSlam<Pose>::Anchor(Current& current, Decision& decision, std::ve
                   " left out: ", error.what());
   }
   for (const NewEdge& edge : edges) {
+    if (edge.offers.size() == 1) SpendChain(current.previous);
     for (const int offer : edge.offers) use(offer).composed = true;
   }
   const Offer& link = current.offers[At(anchor.offer)];
@@ -251,7 +261,7 @@ std::vector<typename CompactPoseSlam<Pose>::NewEdge> CompactPoseSlam<Pose>::Comp
     const Offer& link = current.offers[At(end->offer)];
     edges.push_back({current.base,
                      link.kept,
-                     Compose(current.T_base_current, Invert(link.T_kept_current), options_.composition),
+                     Composed(current.T_base_current, Invert(link.T_kept_current), options_.composition),
                      end->map_gain,
                      {end->offer},
                      {MeasuredTo(link)}});
@@ -265,7 +275,7 @@ std::vector<typename CompactPoseSlam<Pose>::NewEdge> CompactPoseSlam<Pose>::Comp
         const Offer &from = current.offers[At(sightings[a].offer)], &to = current.offers[At(sightings[b].offer)];
         NewEdge edge{from.kept,
                      to.kept,
-                     Compose(from.T_kept_current, Invert(to.T_kept_current), options_.composition),
+                     Composed(from.T_kept_current, Invert(to.T_kept_current), options_.composition),
                      0,
                      {sightings[a].offer, sightings[b].offer},
                      {MeasuredTo(from), MeasuredTo(to)}};

@@ -99,7 +99,7 @@ void CompactPoseSlam<Pose>::ReplaceEdges(PoseId added_at, ChangedEdges& changed,
   for (const auto& [ends, edge] : changed.edges) {
     if (edge.factor.value >= 0) update.removed.push_back(edge.factor);
     if (edge.is_odometry) update.odometry.push_back(update.factors.size());
-    update.factors.push_back(Measurement(ends.first, ends.second, Fused::Sum(edge.parts), options_.composition));
+    update.factors.push_back(Measurement(ends.first, ends.second, Fused::Sum(edge.parts), CompositionOrder::kFirst));
   }
   const StepReport done = solver_->Update(update);
   Accumulate(done, report);

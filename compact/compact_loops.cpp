@@ -71,10 +71,15 @@ bool CompactPoseSlam<Pose>::IsSpent(PoseId dropped) const {
   return false;
 }
 
+// What a pose, in history_, hangs on has come into the map.
+template <class Pose>
+void CompactPoseSlam<Pose>::SpendChain(int pose) {
+  for (int s = history_[At(pose)].stretch; s >= 0; s = StretchBefore(s)) history_[At(s)].carried = true;
+}
+
 template <class Pose>
 void CompactPoseSlam<Pose>::Spend(const Offer& offer) {
-  if (!offer.carried_from || options_.strategy != Strategy::kBounded) return;
-  for (int s = Find(*offer.carried_from).stretch; s >= 0; s = StretchBefore(s)) history_[At(s)].carried = true;
+  if (offer.carried_from && options_.strategy == Strategy::kBounded) SpendChain(index_.at(offer.carried_from->value));
 }
 
 template <class Pose>
@@ -237,19 +242,22 @@ void CompactPoseSlam<Pose>::CloseLoops(Current& current, std::vector<Evaluated> 
   const bool is_linked = !current.concatenated;
   std::vector<Failed> failed = registration ? FailedNear(current) : std::vector<Failed>();
   std::vector<Candidate> settled;
-  while (decision.registrations_tried < options_.max_registrations) {
+  // A loop that was registered for the pose already (compact_bounded.cpp) has been counted.
+  const auto is_registered = [&](const Evaluated& e) { return e.ask.offer >= 0 && !current.input->loops; };
+  while (true) {
+    const bool may_try = decision.registrations_tried < options_.max_registrations;
     Evaluated* best = nullptr;
     for (Evaluated& e : candidates) {
       const bool asks = e.ask.offer >= 0 || registration != nullptr;
-      if (!asks || e.record.tried || e.record.gain <= gains_->MinLoopGain()) continue;
+      if (!asks || e.record.tried || !(may_try || is_registered(e))) continue;
+      if (!is_registered(e) && e.record.gain <= gains_->MinLoopGain()) continue;
       if (best != nullptr && e.worth <= best->worth) continue;
       if (e.ask.offer < 0 && ((is_linked && e.record.id == base) || IsNearFailed(failed, e.record.id))) continue;
       best = &e;
     }
     if (best == nullptr) break;
     best->record.tried = true;
-    const bool is_registered = best->ask.offer >= 0 && !current.input->loops;  // and counted, before it came here
-    if (!is_registered) ++decision.registrations_tried;
+    if (!is_registered(*best)) ++decision.registrations_tried;
     const std::optional<RelativePoseFactor<Pose>> link =
         best->ask.offer >= 0 ? std::optional<RelativePoseFactor<Pose>>(current.offers[At(best->ask.offer)].link)
                              : Register(registration, best->record.id, current.input->id);
@@ -352,6 +360,7 @@ bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>& failed, Pose
   template void RecordCandidates<Pose>(std::vector<Candidate>, const CompactOptions<Pose>&, Decision&);               \
   template int CompactPoseSlam<Pose>::StretchBefore(int) const;                                                       \
   template bool CompactPoseSlam<Pose>::IsSpent(PoseId) const;                                                         \
+  template void CompactPoseSlam<Pose>::SpendChain(int);                                                               \
   template void CompactPoseSlam<Pose>::Spend(const Offer&);                                                           \
   template bool CompactPoseSlam<Pose>::IsBelieved(const Current*, const UncertainPose<Pose>&,                         \
                                                   const UncertainPose<Pose>&, Candidate&);                            \

@@ -120,12 +120,17 @@ class Inspection {
     if (!pose.kept) CheckChain(pose.T_base_pose, "T_base_pose", "covariance");
   }
   void CheckNext(const SeenPose& pose) {
-    if (pose.kept || !pose.next_kept) return;
+    if (pose.kept || !pose.next_kept) {
+      if (pose.ended_by) Fail("ended_by", "the chain of the pose has not ended at a kept pose");
+      return;
+    }
     ExpectKept(*pose.next_kept, "next_kept");
     CheckChain(pose.T_base_next, "T_base_next", "covariance_next");
     if (!pose.ended_by) return;
     const SeenPose* end = Earlier(*pose.ended_by);
-    if (end == nullptr || !end->anchored_to) {
+    if (end != nullptr && at_.at(end->id.value) <= at_.at(pose.id.value)) {
+      Fail("ended_by", Text(*pose.ended_by) + " does not come after the pose");
+    } else if (end == nullptr || !end->anchored_to) {
       Fail("ended_by", Text(*pose.ended_by) + (end == nullptr ? " is none of the poses" : " was not anchored"));
     }
   }
@@ -139,6 +144,11 @@ class Inspection {
     for (size_t k = 0; k < parts.size() && defect_.empty(); ++k) {
       where_ = edge + "parts[" + std::to_string(k) + "].";
       if (at_.count(parts[k].added_at.value) == 0) Fail("added_at", Text(parts[k].added_at) + " is none of the poses");
+      const std::int64_t id = parts[k].id.value, limit = std::int64_t{1} << 60;
+      if (id < -limit || (id < -1 && !parts_.insert(parts[k].id).second))
+        Fail("id", std::to_string(id) + (id < -limit ? " is out of range" : " is there twice"));
+      if (parts[k].measurements < 1 || parts[k].measurements > limit) Fail("measurements", "expected 1 or more");
+      if (!std::isfinite(parts[k].gain)) Fail("gain_nats", "not finite");
       CheckChain(parts[k].T_from_to, "T_from_to", "covariance");
       const bool is_definite = parts[k].T_from_to.covariance.llt().info() == Eigen::Success;
       if (!is_definite) Fail("covariance", "not positive definite");
@@ -156,7 +166,7 @@ class Inspection {
   const CompactMap<Pose>& map_;
   std::string where_, defect_;
   std::unordered_map<std::int64_t, size_t> at_;  // of those looked through
-  std::set<FactorId> factors_;
+  std::set<FactorId> factors_, parts_;
 };
 
 }  // namespace
@@ -296,8 +306,7 @@ template <class Pose>
 void CompactPoseSlam<Pose>::RestoreEdge(const typename CompactMap<Pose>::Edge& edge, FactorId factor) {
   RememberEdge(edge.measured, factor, !edge.is_loop);
   const auto ends = FusedEdges<Pose>::Ordered(edge.measured.from, edge.measured.to);
-  const auto* known = fused_->Find(ends);
-  if (known == nullptr || known->factor != factor || edge.parts.empty()) return;
+  if (options_.strategy != Strategy::kBounded || edge.parts.empty()) return;
   auto parts = edge.parts;
   for (auto& part : parts) {
     if (part.id.value >= 0) part.id = factor;

@@ -106,7 +106,6 @@ struct CompactPoseSlam<Pose>::Current {
   bool concatenated = false;         // poses were dropped between base and this one
   bool is_anchored = false;          // its chain has started anew, with a link of its own
   UncertainPose<Pose> T_ended_base;  // if so: from the base of the chain before to that of this one
-  PoseId ended_base;
   std::optional<StepReport> update;
 };
 

