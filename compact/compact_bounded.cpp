@@ -195,6 +195,7 @@ void CompactPoseSlam<Pose>::Bound(Current& current, Decision& decision, const Re
   Anchor(current, decision, candidates, std::move(sightings));
   if (!current.is_anchored && !registers) search();
   std::vector<Candidate> settled;
+  settled.reserve(candidates.size());
   for (Evaluated& e : candidates) settled.push_back(std::move(e.record));
   RecordCandidates(std::move(settled), options_, decision);
 }

@@ -40,7 +40,7 @@ Jacobian Share(const Jacobian& P, const Jacobian& P_end) {
 // it can come out so on steps of some tenths of a radian, for what the order leaves out.
 template <class Jacobian>
 Jacobian Gathered(const Jacobian& P, const Jacobian& P_older) {
-  const Jacobian difference = (P - P_older + (P - P_older).transpose()) / 2;
+  Jacobian difference = (P - P_older + (P - P_older).transpose()) / 2;
   if (difference.llt().info() == Eigen::Success) return difference;
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(difference);
   return eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0).asDiagonal() * eigen.eigenvectors().transpose();

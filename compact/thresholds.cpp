@@ -22,7 +22,7 @@ double Raise(double gain, double power) { return std::exp(power * std::log(gain 
 
 double Percentile90(std::vector<double> values) {
   if (values.empty()) return 0;
-  const auto nth = values.begin() + static_cast<long>(0.9 * static_cast<double>(values.size() - 1) + 0.5);
+  const auto nth = values.begin() + std::lround(0.9 * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), nth, values.end());
   return *nth;
 }
