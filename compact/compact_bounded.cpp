@@ -173,6 +173,8 @@ void CompactPoseSlam<Pose>::Bound(Current& current, Decision& decision, const Re
   searches_ = true;
   UpdateCovariances();
   ThinOffers(current);
+  // What is known of the linked poses is worked out for them alone, to the same bits whether a search came before.
+  if (!current.offers.empty()) searched_base_ = -1;
   for (size_t k = 0; k < current.offers.size(); ++k) {
     Sight(current, static_cast<int>(k), decision, candidates, sightings);
   }

@@ -87,8 +87,8 @@ typename KeptCovariances<B>::Plan KeptCovariances<B>::MakePlan(const Changes& ch
     const bool better = known < 0 || std::min(f.first, f.second) == newest - 1;
     if (better && IsInvertible<B>(newest == f.first ? f.A_first : f.A_second)) known = static_cast<int>(k);
   }
-  int newest = old - 1;  // whose column is at hand
-  plan.solve_column = appended_ + all - old > kMostAppended;
+  int newest = old - 1;                                         // whose column is at hand
+  plan.solve_column = appended_ > kMostAppended - (all - old);  // appended_ may be the largest number
   for (size_t k = 0; k < joining.size(); ++k) {
     if (joining[k] < 0) return plan;
     is_joining[At(joining[k])] = 1;
@@ -114,7 +114,7 @@ void KeptCovariances<B>::Propagate(const Plan& plan) {
     const Matrix<B, B> inverse = A_n.inverse(), F = -inverse * A_j;
     const Matrix<B, B> Sigma = F * diagonals_[At(j)] * F.transpose() + inverse * inverse.transpose();
     drift_.push_back(drift_[At(j)] + static_cast<float>(kRounding / A_n.partialPivLu().rcond()));
-    ++appended_;
+    appended_ = std::min(appended_, kMostAppended) + 1;
     if (!plan.solve_column) {
       // Sigma_.n = Sigma_.j F'.
       Eigen::Matrix<double, B, kStride, Eigen::RowMajor> transform = Eigen::Matrix<double, B, kStride>::Zero();

@@ -190,8 +190,8 @@ TYPED_TEST(CompactBoundedCovarianceTest, EqualsTheGraphWithAllPoses) {
   }
   EXPECT_GT(dropped, 30);
   EXPECT_GT(by_link, 15);
-  EXPECT_GT(carried, 1);
-  EXPECT_GT(pairs, 20);
+  EXPECT_GT(carried, 0);
+  EXPECT_GT(pairs, 10);
   std::printf(
       "marginal %.1e, relative %.1e; %d dropped, %d on chains that a link ended, %d behind the last, %d carried\n",
       worst, worst_relative, dropped, by_link, behind, carried);
