@@ -13,7 +13,7 @@ constexpr double kWindow = 100, kSteepness = 2, kMostExcess = 3, kMostByPoses = 
 constexpr double kEdgeGain = 0.1;
 
 // The excess after more was kept of more that there was; and x of gain_control.h.
-double Followed(double excess, double share, int kept, int offered) {
+double Followed(double excess, double share, double kept, int offered) {
   return std::max(excess + kept - share * offered, -kWindow * share);
 }
 
@@ -34,7 +34,8 @@ void GainControl::Start(const CompactOptions<Pose>& options) {
 template <class Pose>
 void GainControl::Follow(const CompactOptions<Pose>& options, int poses_kept, int links_kept, int new_loops) {
   const auto& [keep_poses, keep_links] = options.budget;
-  const int new_poses = poses_kept - poses_kept_, new_links = links_kept - links_kept_;
+  // In floating point: a damaged state holds any number.
+  const double new_poses = 1.0 * poses_kept - poses_kept_, new_links = 1.0 * links_kept - links_kept_;
   poses_kept_ = poses_kept;
   links_kept_ = links_kept;
   if (keep_poses) excess_poses_ = Followed(excess_poses_, *keep_poses, new_poses, 1);
