@@ -26,8 +26,9 @@ enum class Record { kNone, kDecisions, kCandidates };
 // that was scaled to agree with the residuals (information_scale.h), which is an estimate itself.
 inline constexpr double kInnovationQuantile = 0.9999, kInnovationQuantileOfScaled = 0.99999999;
 
-// Shares that the map is to keep in the long run, above 0 and at most 1, instead of gains: the thresholds of the options
-// are where the run starts, and follow (Strategy::kFpfl and kBounded). Where there is nothing to say less is kept.
+// Shares that the map is to keep in the long run, above 0 and at most 1, instead of gains: the thresholds of the
+// options are where the run starts, and follow (Strategy::kFpfl and kBounded). Where there is nothing to say less is
+// kept.
 struct CompactBudget {
   std::optional<double> keep_poses;  // of the poses seen
   std::optional<double> keep_links;  // of the loops that came measured or were registered
