@@ -150,7 +150,7 @@ TYPED_TEST(CompactBoundedCovarianceTest, EqualsTheGraphWithAllPoses) {
   using Pose = TypeParam;
   double worst = 0, worst_relative = 0;
   int dropped = 0, by_link = 0, behind = 0, carried = 0, pairs = 0;
-  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
+  for (const std::uint64_t seed : {1, 2, 3}) {  // a slow build's too: one has few loops that came along a chain
     SCOPED_TRACE(seed);
     LapsOptions options;
     options.noise = 0;
@@ -190,8 +190,8 @@ TYPED_TEST(CompactBoundedCovarianceTest, EqualsTheGraphWithAllPoses) {
   }
   EXPECT_GT(dropped, 30);
   EXPECT_GT(by_link, 15);
-  EXPECT_GT(carried, 0);
-  EXPECT_GT(pairs, 10);
+  EXPECT_GT(carried, 1);
+  EXPECT_GT(pairs, 20);
   std::printf(
       "marginal %.1e, relative %.1e; %d dropped, %d on chains that a link ended, %d behind the last, %d carried\n",
       worst, worst_relative, dropped, by_link, behind, carried);

@@ -198,7 +198,9 @@ TYPED_TEST(CompactBoundedEdgesTest, PartsAreTakenOutOneByOne) {
 // All of them, one after the other and in any order: what is left are poses, odometry and links of their own.
 TYPED_TEST(CompactBoundedEdgesTest, NothingIsLeftOfThem) {
   using Pose = TypeParam;
-  Laps<Pose> laps(3);
+  LapsOptions many;
+  many.laps = 8;
+  Laps<Pose> laps(3, many);
   CompactPoseSlam<Pose> slam = laps.Run();
   std::vector<FactorId> ids;
   for (const Decision& decision : laps.decisions) {
