@@ -70,7 +70,7 @@ template <class Pose>
 void CompactPoseSlam<Pose>::ThinOffers(Current& current) const {
   std::map<PoseId, Offer> best;
   const auto is_on_odometry = [&](const Offer& offer) {
-    return offer.carried_from && IsOnOdometry(Find(*offer.carried_from));
+    return offer.carried_from && IsOnOdometry(history_->Find(*offer.carried_from));
   };
   const auto is_better = [&](const Offer& a, const Offer& b) {
     const bool a_counts_twice = is_on_odometry(a), b_counts_twice = is_on_odometry(b);
@@ -209,7 +209,7 @@ void CompactPoseSlam<Pose>::Anchor(Current& current, Decision& decision, std::ve
                                    std::vector<Sighting> sightings) {
   const auto is_carried_on_odometry = [&](const Sighting& s) {
     const auto& dropped = current.offers[At(s.offer)].carried_from;
-    return dropped && IsOnOdometry(Find(*dropped));
+    return dropped && IsOnOdometry(history_->Find(*dropped));
   };
   sightings.erase(std::remove_if(sightings.begin(), sightings.end(), is_carried_on_odometry), sightings.end());
   if (sightings.empty()) return;
@@ -235,7 +235,7 @@ void CompactPoseSlam<Pose>::Anchor(Current& current, Decision& decision, std::ve
                   " left out: ", error.what());
   }
   for (const NewEdge& edge : edges) {
-    if (edge.offers.size() == 1) SpendChain(current.previous);
+    if (edge.offers.size() == 1) history_->SpendChain(*current.previous);
     for (const int offer : edge.offers) use(offer).composed = true;
   }
   const Offer& link = current.offers[At(anchor.offer)];
@@ -245,7 +245,7 @@ void CompactPoseSlam<Pose>::Anchor(Current& current, Decision& decision, std::ve
   current.T_ended_base = Compose(current.T_base_current, Invert(link.T_kept_current), options_.composition);
   current.base = link.kept;
   current.T_base_current = link.T_kept_current;
-  current.parent = index_.at(link.carried_from.value_or(link.kept).value);
+  current.parent = MeasuredTo(link);
   current.T_world_body = solver_->Estimate(current.base) * current.T_base_current.T_a_b;
 }
 

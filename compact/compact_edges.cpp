@@ -6,12 +6,11 @@
 
 #include "compact_pose_slam_parts.h"
 #include "fused_edges.h"
-#include "terse/core/at.h"
 
 namespace terse {
 namespace {
 
-using internal::At;
+using internal::Measurement;
 using std::size_t;
 
 // Worth the work where it costs nothing, nats.
@@ -53,7 +52,7 @@ typename CompactMap<Pose>::Part CompactPoseSlam<Pose>::FirstPart(PoseId from, Po
   typename CompactMap<Pose>::Part part;
   part.id = factor;
   part.T_from_to = SeenFrom(from, std::get<RelativePoseFactor<Pose>>(solver_->Graph().FindFactor(factor)->factor));
-  part.added_at = index_.at(from.value) < index_.at(to.value) ? to : from;
+  part.added_at = history_->NewerOf(from, to);
   if (const auto link = FindLink(factor); link != links_.end()) {
     part.added_at = link->added_at;
     part.gain = link->gain.value_or(0);
@@ -108,8 +107,7 @@ void CompactPoseSlam<Pose>::ReplaceEdges(PoseId added_at, ChangedEdges& changed,
   for (auto& [ends, edge] : changed.edges) {
     const FactorId before = std::exchange(edge.factor, done.factor_ids[k++]);
     if (edge.is_odometry) {
-      const int at = std::max(index_.at(ends.first.value), index_.at(ends.second.value));
-      history_[At(at)].odometry = edge.factor;
+      history_->SetOdometry(history_->NewerOf(ends.first, ends.second), edge.factor);
     } else {
       const auto link = FindLink(before);
       Link now{edge.factor, link != links_.end() ? link->added_at : added_at, 0};
@@ -135,7 +133,7 @@ void CompactPoseSlam<Pose>::RemoveLink(FactorId id) {
     if (edge.parts.size() > 1) {
       edge.parts.erase(part);
       std::optional<StepReport> report;
-      ReplaceEdges(history_.back().id, changed, report);
+      ReplaceEdges(history_->Newest(), changed, report);
       return;
     }
     id = edge.factor;

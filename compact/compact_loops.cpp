@@ -14,6 +14,7 @@ namespace terse {
 namespace {
 
 using internal::At;
+using internal::Behind;
 using std::size_t;
 
 }  // namespace
@@ -43,43 +44,20 @@ bool CompactPoseSlam<Pose>::TakeOffer(const Current& current, const RelativePose
   if (!FindDefect<Pose>(offer.link).empty()) return false;
   offer.kept = KeptBase(other);
   offer.carried_from = offer.kept != other ? std::optional<PoseId>(other) : std::nullopt;
-  if (offer.carried_from && IsSpent(other)) return false;
+  if (offer.carried_from && options_.strategy == Strategy::kBounded && history_->IsSpent(other)) return false;
   offer.T_kept_current = SeenFrom(offer.kept, offer.link);
   offer.carried = offer.T_kept_current.covariance - SeenFrom(other, loop).covariance;
   offer.T_dropped_current.reset();
-  if (offer.carried_from && !current.in_solver && offer.kept == current.base && !Find(other).next_kept &&
-      IsPlainChain(other, current.parent, 0)) {
-    offer.T_dropped_current = Behind(Find(other).T_base_pose, current.T_base_current);
+  if (offer.carried_from && !current.in_solver && offer.kept == current.base && !history_->Find(other).next_kept &&
+      history_->IsPlainChain(other, *current.parent, 0)) {
+    offer.T_dropped_current = Behind(history_->Find(other).T_base_pose, current.T_base_current);
   }
   return true;
 }
 
-// The stretch that the one which starts here hangs on, where a link to a dropped pose starts it; -1 at a kept pose.
-template <class Pose>
-int CompactPoseSlam<Pose>::StretchBefore(int stretch) const {
-  return history_[At(history_[At(stretch)].parent)].stretch;
-}
-
-// Whether a chain that a dropped pose hangs on has served to carry a loop already: in a bounded map, where robots
-// pass again and again, no measurement counts twice.
-template <class Pose>
-bool CompactPoseSlam<Pose>::IsSpent(PoseId dropped) const {
-  if (options_.strategy != Strategy::kBounded) return false;
-  for (int s = Find(dropped).stretch; s >= 0; s = StretchBefore(s)) {
-    if (history_[At(s)].carried) return true;
-  }
-  return false;
-}
-
-// What a pose, in history_, hangs on has come into the map.
-template <class Pose>
-void CompactPoseSlam<Pose>::SpendChain(int pose) {
-  for (int s = history_[At(pose)].stretch; s >= 0; s = StretchBefore(s)) history_[At(s)].carried = true;
-}
-
 template <class Pose>
 void CompactPoseSlam<Pose>::Spend(const Offer& offer) {
-  if (offer.carried_from && options_.strategy == Strategy::kBounded) SpendChain(index_.at(offer.carried_from->value));
+  if (offer.carried_from && options_.strategy == Strategy::kBounded) history_->SpendChain(*offer.carried_from);
 }
 
 template <class Pose>
@@ -191,7 +169,7 @@ bool CompactPoseSlam<Pose>::AcceptOnChain(Current& current, const Offer& offer, 
   const Current before = current;
   current.base = dropped;
   current.T_base_current = current.chain = *offer.T_dropped_current;
-  current.concatenated = history_[At(current.parent)].id != dropped;
+  current.concatenated = current.parent != dropped;
   try {
     record.factor = Keep(current, {offer.measured}, &revival).back();
   } catch (...) {
@@ -358,9 +336,6 @@ bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>& failed, Pose
 
 #define TERSE_INSTANTIATE(Pose)                                                                                       \
   template void RecordCandidates<Pose>(std::vector<Candidate>, const CompactOptions<Pose>&, Decision&);               \
-  template int CompactPoseSlam<Pose>::StretchBefore(int) const;                                                       \
-  template bool CompactPoseSlam<Pose>::IsSpent(PoseId) const;                                                         \
-  template void CompactPoseSlam<Pose>::SpendChain(int);                                                               \
   template void CompactPoseSlam<Pose>::Spend(const Offer&);                                                           \
   template bool CompactPoseSlam<Pose>::IsBelieved(const Current*, const UncertainPose<Pose>&,                         \
                                                   const UncertainPose<Pose>&, Candidate&);                            \

@@ -10,14 +10,12 @@
 
 #include "compact_pose_slam_parts.h"
 #include "fused_edges.h"
-#include "terse/core/at.h"
 #include "terse/core/error.h"
 #include "terse/core/require_optimum.h"
 
 namespace terse {
 namespace {
 
-using internal::At;
 using std::size_t;
 
 std::string Text(PoseId id) { return "pose " + std::to_string(id.value); }
@@ -176,43 +174,12 @@ std::string FindDefect(const CompactMap<Pose>& map) {
   return Inspection<Pose>(map).Run();
 }
 
-// The poses that an odometry edge between kept poses was concatenated over, its ends included; empty for one
-// measurement.
-template <class Pose>
-std::vector<PoseId> CompactPoseSlam<Pose>::ComposedOf(const RelativePoseFactor<Pose>& edge) const {
-  const int newer = std::max(index_.at(edge.from.value), index_.at(edge.to.value));
-  int k = history_[At(newer)].parent;
-  if (k < 0 || history_[At(k)].kept) return {};
-  std::vector<PoseId> chain = {history_[At(newer)].id};
-  for (; k >= 0; k = history_[At(k)].parent) {
-    chain.push_back(history_[At(k)].id);
-    if (history_[At(k)].kept) break;
-  }
-  std::reverse(chain.begin(), chain.end());
-  return chain;
-}
-
 template <class Pose>
 CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery recovery) const {
   CompactMap<Pose> map;
-  const std::vector<RecoveredPose<Pose>> trajectory = Trajectory(recovery);
-  for (size_t k = 0; k < history_.size(); ++k) {
-    const Seen& seen = history_[k];
-    typename CompactMap<Pose>::SeenPose pose;
-    pose.id = seen.id;
-    pose.kept = seen.kept;
-    pose.T_world_body = trajectory[k].T_world_body;
-    pose.T_world_body_when_seen = seen.T_world_body_when_seen;
-    if (seen.previous >= 0) pose.previous = history_[At(seen.previous)].id;
-    pose.base = seen.base;
-    pose.T_base_pose = seen.T_base_pose;
-    pose.next_kept = seen.next_kept;
-    pose.T_base_next = seen.T_base_next;
-    if (seen.anchored) pose.anchored_to = history_[At(seen.parent)].id;
-    if (seen.ended_by >= 0) pose.ended_by = history_[At(seen.ended_by)].id;
-    pose.carried = seen.stretch >= 0 && history_[At(seen.stretch)].carried;
-    map.poses.push_back(std::move(pose));
-  }
+  map.poses = history_->Export();
+  size_t next = 0;
+  for (const RecoveredPose<Pose>& pose : Trajectory(recovery)) map.poses[next++].T_world_body = pose.T_world_body;
   auto link = links_.begin();
   for (const auto& node : solver_->Graph().Factors()) {
     const auto* measured = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
@@ -229,8 +196,8 @@ CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery recovery) const {
       edge.added_at = link->added_at;
       edge.gain = link->gain;
     } else {
-      edge.added_at = index_.at(measured->from.value) > index_.at(measured->to.value) ? measured->from : measured->to;
-      edge.composed_of = ComposedOf(*measured);
+      edge.added_at = history_->NewerOf(measured->from, measured->to);
+      edge.composed_of = history_->ChainTo(edge.added_at);
     }
     const auto* fused = fused_->Find(FusedEdges<Pose>::Ordered(measured->from, measured->to));
     if (fused != nullptr && fused->factor == node.id) edge.parts = fused->parts;
@@ -251,7 +218,11 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   const std::string defect = FindDefect(map);
   if (!defect.empty()) throw std::invalid_argument(defect);
   CompactPoseSlam slam(options);
-  slam.TakeHistory(map);
+  slam.history_->Restore(map.poses);
+  for (const auto& refused : map.refused) {
+    slam.refused_.push_back({refused.candidate, refused.seen, refused.T_candidate_seen});
+  }
+  for (const auto& failed : map.failed) slam.failed_.push_back({failed.candidate, failed.seen});
   if (map.poses.empty()) return slam;
   GraphUpdate<Pose> update;
   std::unordered_map<std::int64_t, size_t> place;  // in the update
@@ -282,8 +253,7 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
     if (edge == nullptr) continue;
     slam.RestoreEdge(*edge, report.factor_ids[k]);
     if (!edge->is_loop) {
-      const int ends[] = {slam.index_.at(edge->measured.from.value), slam.index_.at(edge->measured.to.value)};
-      slam.history_[At(std::max(ends[0], ends[1]))].odometry = report.factor_ids[k];
+      slam.history_->SetOdometry(slam.history_->NewerOf(edge->measured.from, edge->measured.to), report.factor_ids[k]);
       continue;
     }
     slam.links_.push_back({report.factor_ids[k], edge->added_at, edge->gain});
@@ -315,45 +285,11 @@ void CompactPoseSlam<Pose>::RestoreEdge(const typename CompactMap<Pose>::Edge& e
   fused_->Set(ends, {factor, !edge.is_loop, std::move(parts)});
 }
 
-template <class Pose>
-void CompactPoseSlam<Pose>::TakeHistory(const CompactMap<Pose>& map) {
-  for (const auto& pose : map.poses) {
-    Seen seen;
-    seen.id = pose.id;
-    seen.kept = pose.kept;
-    seen.base = pose.base;
-    seen.T_world_body_when_seen = pose.T_world_body_when_seen;
-    if (pose.previous) seen.previous = seen.parent = index_.at(pose.previous->value);
-    seen.anchored = pose.anchored_to.has_value();
-    if (seen.anchored) seen.parent = index_.at(pose.anchored_to->value);
-    const int at = static_cast<int>(history_.size());
-    if (!seen.kept) seen.stretch = StretchBehind(seen.parent, seen.anchored, at);
-    seen.carried = pose.carried && seen.stretch == at;
-    if (!pose.kept) {
-      seen.T_base_pose = pose.T_base_pose;
-      seen.next_kept = pose.next_kept;
-      if (pose.next_kept) seen.T_base_next = pose.T_base_next;
-    }
-    if (seen.parent >= 0) ++history_[At(seen.parent)].successors;
-    index_[seen.id.value] = at;
-    history_.push_back(std::move(seen));
-  }
-  for (const auto& pose : map.poses) {
-    if (pose.ended_by) history_[At(index_.at(pose.id.value))].ended_by = index_.at(pose.ended_by->value);
-  }
-  for (const auto& refused : map.refused) {
-    refused_.push_back({refused.candidate, refused.seen, refused.T_candidate_seen});
-  }
-  for (const auto& failed : map.failed) failed_.push_back({failed.candidate, failed.seen});
-}
-
 #define TERSE_INSTANTIATE(Pose)                                                                                        \
   template std::string FindDefect<Pose>(const CompactMap<Pose>&);                                                      \
-  template std::vector<PoseId> CompactPoseSlam<Pose>::ComposedOf(const RelativePoseFactor<Pose>&) const;               \
   template CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery) const;                                             \
   template CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>&, const CompactOptions<Pose>&); \
-  template void CompactPoseSlam<Pose>::RestoreEdge(const typename CompactMap<Pose>::Edge&, FactorId);                  \
-  template void CompactPoseSlam<Pose>::TakeHistory(const CompactMap<Pose>&);
+  template void CompactPoseSlam<Pose>::RestoreEdge(const typename CompactMap<Pose>::Edge&, FactorId);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

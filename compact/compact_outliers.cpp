@@ -10,6 +10,8 @@
 namespace terse {
 namespace {
 
+using internal::Behind;
+
 // A prediction that knows much less than the link measures agrees with anything: nats per degree of freedom.
 constexpr double kMostVagueness = 1;
 
@@ -25,7 +27,7 @@ UncertainPose<Pose> CompactPoseSlam<Pose>::Between(PoseId a, PoseId b) const {
 // From a pose seen before to the one at hand, along its chain or through the map, whichever knows more.
 template <class Pose>
 UncertainPose<Pose> CompactPoseSlam<Pose>::FromSeen(PoseId id, const Current& current) const {
-  const Seen& seen = Find(id);
+  const auto& seen = history_->Find(id);
   if (!seen.kept && !seen.next_kept && seen.base == current.base) {
     // Both hang on one chain: what lies before the older one is no error between them.
     if (const auto behind = Behind(seen.T_base_pose, current.T_base_current)) return *behind;

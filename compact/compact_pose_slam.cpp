@@ -6,11 +6,11 @@
 #include <limits>
 #include <stdexcept>
 
+#include "carry.h"
 #include "compact_pose_slam_parts.h"
 #include "fused_edges.h"
 #include "terse/compact/information.h"
 #include "terse/compact/innovation.h"
-#include "terse/core/at.h"
 #include "terse/core/chi_square.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
@@ -18,7 +18,8 @@
 namespace terse {
 namespace {
 
-using internal::At;
+using internal::Measurement;
+using internal::PoseHistory;
 using std::size_t;
 
 // A link that is supported finds its support among the last refused ones: they come from poses close behind each other,
@@ -79,19 +80,11 @@ IncrementalOptions SolverOptions(const CompactOptions<Pose>& options) {
 }  // namespace
 
 template <class Pose>
-RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to,
-                                     CompositionOrder order) {
-  const typename Pose::Jacobian covariance =
-      order == CompositionOrder::kFirst ? T_from_to.covariance : RetractCovariance(T_from_to);
-  const typename Pose::Jacobian information = covariance.llt().solve(Pose::Jacobian::Identity());
-  return {from, to, T_from_to.T_a_b, (information + information.transpose()) / 2};
-}
-
-template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
     : solver_(std::make_unique<IncrementalSolver<Pose>>(SolverOptions(options))),
       marginals_(std::make_unique<IncrementalMarginals<Pose>>(*solver_)),
       gains_(std::make_unique<GainControl>()),
+      history_(std::make_unique<PoseHistory<Pose>>()),
       fused_(std::make_unique<FusedEdges<Pose>>()),
       reach_(std::make_unique<PoseIndex<Pose>>()) {
   TakeOptions(options);
@@ -117,23 +110,16 @@ template <class Pose>
 CompactPoseSlam<Pose>& CompactPoseSlam<Pose>::operator=(CompactPoseSlam&&) noexcept = default;
 
 template <class Pose>
-const typename CompactPoseSlam<Pose>::Seen& CompactPoseSlam<Pose>::Find(PoseId id) const {
-  const auto it = index_.find(id.value);
-  if (it == index_.end()) throw std::invalid_argument("pose " + std::to_string(id.value) + " was never added");
-  return history_[At(it->second)];
-}
-
-template <class Pose>
 void CompactPoseSlam<Pose>::CheckPose(const CompactInput<Pose>& input) const {
   const std::string name = "pose " + std::to_string(input.id.value);
-  if (index_.count(input.id.value) != 0) throw std::invalid_argument(name + " was added already");
-  if (input.odometry.has_value() == history_.empty()) {
-    throw std::invalid_argument(name + (history_.empty() ? " is the first and has odometry" : " has no odometry"));
+  if (history_->Has(input.id)) throw std::invalid_argument(name + " was added already");
+  if (input.odometry.has_value() == history_->IsEmpty()) {
+    throw std::invalid_argument(name + (history_->IsEmpty() ? " is the first and has odometry" : " has no odometry"));
   }
   if (input.T_world_body && !std::isfinite(input.T_world_body->Log().sum())) {
     throw std::invalid_argument(name + " has a value that is not finite");
   }
-  if (input.fixed && !input.T_world_body && !history_.empty())
+  if (input.fixed && !input.T_world_body && !history_->IsEmpty())
     throw std::invalid_argument(name + " is fixed but has no value");
   for (const Factor<Pose>& prior : input.priors) {
     const FactorPoses ends = PosesOf(prior);
@@ -148,7 +134,7 @@ void CompactPoseSlam<Pose>::CheckPose(const CompactInput<Pose>& input) const {
       if (!defect.empty()) throw std::invalid_argument(defect);
       if (loop.from != input.id && loop.to != input.id)
         throw std::invalid_argument("a loop of " + name + " does not touch it");
-      Find(loop.from == input.id ? loop.to : loop.from);
+      history_->Find(loop.from == input.id ? loop.to : loop.from);
     }
   }
   if (!input.odometry) return;
@@ -163,14 +149,14 @@ typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const Compa
   CheckPose(input);
   Current current;
   current.input = &input;
-  if (history_.empty()) {
+  if (history_->IsEmpty()) {
     current.base = input.id;
     current.T_world_body = input.T_world_body.value_or(Pose());
     return current;
   }
   const RelativePoseFactor<Pose>& edge = *input.odometry;
-  const Seen& previous = Find(edge.from == input.id ? edge.to : edge.from);
-  current.previous = current.parent = index_.at(previous.id.value);
+  const auto& previous = history_->Find(edge.from == input.id ? edge.to : edge.from);
+  current.previous = current.parent = previous.id;
   const UncertainPose<Pose> odometry = SeenFrom(previous.id, edge);
   current.base = previous.base;
   current.concatenated = !previous.kept;
@@ -208,7 +194,7 @@ void CompactPoseSlam<Pose>::LogVerdict(const Decision& decision) const {
 
 template <class Pose>
 void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) const {
-  if (history_.empty()) {
+  if (history_->IsEmpty()) {
     decision.verdict = PoseVerdict::kFirst;
   } else if (decision.links_accepted > 0) {
     decision.verdict = PoseVerdict::kLoopClosed;
@@ -270,45 +256,21 @@ std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<
   return ids;
 }
 
-// Of the poses of a chain up to `last`, in history_: they hang between their base and `next` from now on.
-template <class Pose>
-void CompactPoseSlam<Pose>::EndChain(int last, PoseId next, const UncertainPose<Pose>& T_base_next, int ended_by) {
-  for (int k = last; k >= 0 && !history_[At(k)].kept; k = history_[At(k)].parent) {
-    Seen& dropped = history_[At(k)];
-    if (dropped.next_kept) break;
-    dropped.next_kept = next;
-    dropped.T_base_next = T_base_next;
-    dropped.ended_by = ended_by;
-  }
-}
-
-// Which stretch a dropped pose at this place belongs to.
-template <class Pose>
-int CompactPoseSlam<Pose>::StretchBehind(int parent, bool anchored, int at) const {
-  return anchored || history_[At(parent)].kept ? at : history_[At(parent)].stretch;
-}
-
 template <class Pose>
 void CompactPoseSlam<Pose>::Remember(const Current& current) {
-  Seen seen;
+  typename PoseHistory<Pose>::Seen seen;
   seen.id = seen.base = current.input->id;
-  seen.previous = current.previous;
-  seen.parent = current.parent;
   seen.kept = current.in_solver;
+  seen.anchored = current.is_anchored;
   seen.odometry = current.odometry;
   seen.T_world_body_when_seen = current.T_world_body;
   if (!seen.kept) {
     seen.base = current.base;
     seen.T_base_pose = current.T_base_current;
   }
-  const int at = static_cast<int>(history_.size());
-  seen.anchored = current.is_anchored;
-  if (seen.kept) EndChain(current.parent, seen.id, current.chain, -1);
-  if (seen.anchored) EndChain(current.previous, seen.base, current.T_ended_base, at);
-  if (seen.parent >= 0) ++history_[At(seen.parent)].successors;
-  if (!seen.kept) seen.stretch = StretchBehind(seen.parent, seen.anchored, at);
-  index_[seen.id.value] = at;
-  history_.push_back(seen);
+  history_->Append(seen, current.previous, current.parent);
+  if (seen.kept && current.parent) history_->EndChain(*current.parent, seen.id, current.chain);
+  if (seen.anchored) history_->EndChain(*current.previous, seen.base, current.T_ended_base, seen.id);
 }
 
 template <class Pose>
@@ -327,7 +289,7 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   Decision decision;
   decision.id = input.id;
   try {
-    if (history_.empty()) {
+    if (history_->IsEmpty()) {
       Keep(current, {});
     } else if (options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl) {
       Search(current, decision, registration);
@@ -358,59 +320,35 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   return decision;
 }
 
-// An end that is nullptr stays.
-template <class Pose>
-RelativePoseFactor<Pose> CompactPoseSlam<Pose>::Carry(const RelativePoseFactor<Pose>& link, const Seen* from,
-                                                      const Seen* to) const {
-  const std::string defect = FindDefect<Pose>(link);
-  if (!defect.empty()) throw std::invalid_argument(defect);
-  if (from != nullptr && from->kept) from = nullptr;
-  if (to != nullptr && to->kept) to = nullptr;
-  if (from == nullptr && to == nullptr) return link;
-  UncertainPose<Pose> measured = SeenFrom(link.from, link);
-  if (from != nullptr) measured = Compose(from->T_base_pose, measured, options_.composition);
-  if (to != nullptr) measured = Compose(measured, Invert(to->T_base_pose), options_.composition);
-  return Measurement(from != nullptr ? from->base : link.from, to != nullptr ? to->base : link.to, measured,
-                     options_.composition);
-}
-
 template <class Pose>
 RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryToKept(const RelativePoseFactor<Pose>& link) const {
-  return Carry(link, &Find(link.from), &Find(link.to));
+  return internal::CarryToKept(link, *history_, options_.composition);
 }
 
 template <class Pose>
 RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryEndToKept(PoseId end, const RelativePoseFactor<Pose>& link) const {
-  if (end != link.from && end != link.to) {
-    throw std::invalid_argument("the link does not touch pose " + std::to_string(end.value));
-  }
-  const Seen& seen = Find(end);
-  return Carry(link, end == link.from ? &seen : nullptr, end == link.to ? &seen : nullptr);
+  return internal::CarryEndToKept(end, link, *history_, options_.composition);
+}
+
+template <class Pose>
+PoseId CompactPoseSlam<Pose>::KeptBase(PoseId id) const {
+  return history_->Find(id).base;
+}
+
+template <class Pose>
+bool CompactPoseSlam<Pose>::HasSeen(PoseId id) const {
+  return history_->Has(id);
+}
+
+template <class Pose>
+int CompactPoseSlam<Pose>::PosesSeen() const {
+  return history_->Size();
 }
 
 template <class Pose>
 FactorId CompactPoseSlam<Pose>::AddPrior(const Factor<Pose>& prior) {
-  const FactorPoses ends = PosesOf(prior);
-  if (ends.count != 1) throw std::invalid_argument("a link is no prior");
-  const std::string defect = FindDefect(prior);
-  if (!defect.empty()) throw std::invalid_argument(defect);
-  const Seen& seen = Find(ends.first);
-  Factor<Pose> at_kept = prior;
-  if (!seen.kept) {
-    if (const auto* measured = std::get_if<PosePriorFactor<Pose>>(&prior)) {
-      // A link from the origin of the world.
-      const Seen* origin = nullptr;
-      const RelativePoseFactor<Pose> link{{}, {1}, measured->T_world_body, measured->information};
-      const RelativePoseFactor<Pose> carried = Carry(link, origin, &seen);
-      at_kept = PosePriorFactor<Pose>{seen.base, carried.T_from_to, carried.information};
-    } else {
-      const bool is_turned = solver_->CurrentGauge().free_turns == 0;
-      at_kept = CarryPosition(std::get<PositionPriorFactor<Pose>>(prior), seen.base, seen.T_base_pose,
-                              solver_->Estimate(seen.base), is_turned);
-    }
-  }
   GraphUpdate<Pose> update;
-  update.factors.push_back(at_kept);
+  update.factors.push_back(internal::CarryPriorToKept(prior, *history_, *solver_, options_.composition));
   const FactorId id = solver_->Update(update).factor_ids.front();
   UpdateCovariances();
   return id;
@@ -443,14 +381,14 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
     edges[0].gain = decision.gain;
     std::optional<StepReport> report;
     Decision unused;
-    AddEdges(history_.back().id, edges, unused, report);
+    AddEdges(history_->Newest(), edges, unused, report);
     decision.factor = edges[0].id;
   } else if (decision.accepted) {
     GraphUpdate<Pose> update;
     update.factors.push_back(carried);
     decision.factor = solver_->Update(update).factor_ids.front();
     UpdateCovariances();
-    links_.push_back({*decision.factor, history_.back().id, decision.gain});
+    links_.push_back({*decision.factor, history_->Newest(), decision.gain});
   }
   return decision;
 }
@@ -462,8 +400,6 @@ BatchResult<Pose> CompactPoseSlam<Pose>::Finish() {
   return result;
 }
 
-template RelativePoseFactor<SE2> Measurement<SE2>(PoseId, PoseId, const UncertainPose<SE2>&, CompositionOrder);
-template RelativePoseFactor<SE3> Measurement<SE3>(PoseId, PoseId, const UncertainPose<SE3>&, CompositionOrder);
 template class CompactPoseSlam<SE2>;
 template class CompactPoseSlam<SE3>;
 

@@ -1,7 +1,9 @@
 #pragma once
 // What the parts of CompactPoseSlam share while a pose is worked in.
 
+#include "chains.h"
 #include "gain_control.h"
+#include "pose_history.h"
 #include "terse/compact/compact_pose_slam.h"
 #include "terse/compact/pose_index.h"
 
@@ -10,29 +12,8 @@ namespace terse {
 // All updates of a step as one report.
 void Accumulate(const StepReport& update, std::optional<StepReport>& sum);
 
-// As a factor of the optimiser.
-template <class Pose>
-RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose<Pose>& T_from_to,
-                                     CompositionOrder order);
-
-// The chain from `middle` on, of one from `start` through `middle`, by subtraction of covariances. Absent where nothing
-// but rounding is left.
-template <class Pose>
-std::optional<UncertainPose<Pose>> Behind(const UncertainPose<Pose>& T_start_middle,
-                                          const UncertainPose<Pose>& T_start_end);
-
 // Refused for its innovation, and no others agree with it.
 inline bool IsRefused(const Candidate& link) { return link.outlier && !link.supported; }
-
-// Between two kept poses, or, where the chain has not ended yet, on that of the pose at hand.
-template <class Pose>
-struct CompactPoseSlam<Pose>::Revival {
-  PoseId pose, base;
-  UncertainPose<Pose> T_base_pose, T_pose_next;
-  std::optional<PoseId> next;
-  FactorId replaced;  // from base to next
-  int newest = -1;    // the last pose of the chain, in history_
-};
 
 template <class Pose>
 struct CompactPoseSlam<Pose>::Offer {
@@ -51,14 +32,6 @@ struct CompactPoseSlam<Pose>::Ask {
   int pose = -1;   // solver index
   int offer = -1;  // in Current::offers; -1: it has to be registered
 };
-
-// A position prior on a pose behind the end of a chain as one on the pose at its start, with the chain's translation as
-// (more of) its lever arm and the chain's covariance added, turned into the world as the pose at its start is. If how
-// that is turned is not known (`is_turned` false), its largest variance in every direction instead.
-template <class Pose>
-PositionPriorFactor<Pose> CarryPosition(const PositionPriorFactor<Pose>& prior, PoseId base,
-                                        const UncertainPose<Pose>& T_base_pose, const Pose& T_world_base,
-                                        bool is_turned);
 
 // The record of a decision stays small however many poses were in range: what was tried, and the best of the others.
 template <class Pose>
@@ -94,9 +67,8 @@ struct CompactPoseSlam<Pose>::Evaluated {
 template <class Pose>
 struct CompactPoseSlam<Pose>::Current {
   const CompactInput<Pose>* input = nullptr;
-  int previous = -1;  // in history_
-  int parent = -1;    // likewise
-  PoseId base;        // the kept pose its chain hangs on; itself once it is in the solver
+  std::optional<PoseId> previous, parent;  // PoseHistory::Seen; absent for the first
+  PoseId base;                             // the kept pose its chain hangs on; itself once it is in the solver
   UncertainPose<Pose> T_base_current;
   UncertainPose<Pose> chain;  // T_base_current as it came in, when base was still another pose
   Pose T_world_body;

@@ -21,7 +21,6 @@ namespace terse {
 namespace {
 
 using internal::At;
-using std::size_t;
 
 // P.
 template <class Pose>
@@ -49,8 +48,8 @@ Jacobian Gathered(const Jacobian& P, const Jacobian& P_older) {
 }  // namespace
 
 // The error of a pose, or of one pose seen from another, to first order: the sum of A d over kept poses, and of C l
-// over chains from their base to `at`, in history_: a dropped pose, or the kept one where its chain ends; behind all of
-// history_ (EndedByLink) chains as links have ended them.
+// over chains from their base to the place `at`: a dropped pose, or the kept one where its chain ends; behind all
+// places (PoseHistory::EndedByLink) chains as links have ended them.
 template <class Pose>
 struct CompactPoseSlam<Pose>::Error {
   using Jacobian = typename Pose::Jacobian;
@@ -77,26 +76,6 @@ struct CompactPoseSlam<Pose>::Error {
   std::vector<Chain> chains;
 };
 
-// The chain that a link of pose `by` has ended. (That the same link starts the chain of that pose is left out.)
-template <class Pose>
-int CompactPoseSlam<Pose>::EndedByLink(int by) const {
-  return static_cast<int>(history_.size()) + by;
-}
-
-template <class Pose>
-int CompactPoseSlam<Pose>::ParentOnChain(int at) const {
-  const int poses = static_cast<int>(history_.size());
-  return at < poses ? history_[At(at)].parent : history_[At(at - poses)].previous;
-}
-
-// The last pose of a dropped one's chain, itself or before it, whose chain has ended at a kept pose; -1 if none. Both
-// chains lead through it.
-template <class Pose>
-int CompactPoseSlam<Pose>::EndedBefore(int pose) const {
-  while (pose >= 0 && !history_[At(pose)].kept && !history_[At(pose)].next_kept) pose = history_[At(pose)].parent;
-  return pose >= 0 && !history_[At(pose)].kept ? pose : -1;
-}
-
 // How a chain of dropped poses lies between the kept poses that it joins; e and K are zero if it has not ended.
 template <class Pose>
 struct CompactPoseSlam<Pose>::Bridge {
@@ -106,11 +85,11 @@ struct CompactPoseSlam<Pose>::Bridge {
 };
 
 template <class Pose>
-typename CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(const Seen& seen, int ended) const {
+typename CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(PoseId dropped, int ended) const {
   Bridge bridge;
-  bridge.T_world_base = solver_->Estimate(seen.base);
+  bridge.T_world_base = solver_->Estimate(history_->Find(dropped).base);
   if (ended < 0) return bridge;
-  const Seen& shared = history_[At(ended)];
+  const auto& shared = (*history_)[ended];
   bridge.T_base_next = bridge.T_world_base.Inverse() * solver_->Estimate(*shared.next_kept);
   bridge.e = (bridge.T_base_next * shared.T_base_next.T_a_b.Inverse()).Log();
   bridge.P_next = AtBase(shared.T_base_next);
@@ -120,9 +99,9 @@ typename CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(const See
 
 // A dropped pose as kV2.
 template <class Pose>
-Pose CompactPoseSlam<Pose>::Recover(const Seen& seen, int ended) const {
-  const Bridge bridge = BridgeOf(seen, ended);
-  return bridge.T_world_base * Pose::Exp(bridge.K * bridge.e) * seen.T_base_pose.T_a_b;
+Pose CompactPoseSlam<Pose>::Recover(PoseId dropped, int ended) const {
+  const Bridge bridge = BridgeOf(dropped, ended);
+  return bridge.T_world_base * Pose::Exp(bridge.K * bridge.e) * history_->Find(dropped).T_base_pose.T_a_b;
 }
 
 template <class Pose>
@@ -132,21 +111,21 @@ Pose CompactPoseSlam<Pose>::Estimate(PoseId id) const {
 
 template <class Pose>
 Pose CompactPoseSlam<Pose>::Estimate(PoseId id, Recovery recovery) const {
-  const Seen& seen = Find(id);
+  const auto& seen = history_->Find(id);
   if (seen.kept) return solver_->Estimate(id);
   if (recovery == Recovery::kV0) return seen.T_world_body_when_seen;
-  return Recover(seen, recovery == Recovery::kV2 ? EndedBefore(index_.at(id.value)) : -1);
+  return Recover(id, recovery == Recovery::kV2 ? history_->EndedBefore(id) : -1);
 }
 
 template <class Pose>
 std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery recovery) const {
   std::vector<RecoveredPose<Pose>> out;
-  std::vector<int> ended(history_.size(), -1);  // EndedBefore, without walking every chain anew
-  for (size_t k = 0; k < history_.size(); ++k) {
-    const Seen& seen = history_[k];
+  std::vector<int> ended(At(history_->Size()), -1);  // EndedBefore, without walking every chain anew
+  for (int k = 0; k < history_->Size(); ++k) {
+    const auto& seen = (*history_)[k];
     if (!seen.kept && recovery == Recovery::kV2) {
-      ended[k] = seen.next_kept ? static_cast<int>(k) : ended[At(seen.parent)];
-      out.push_back({seen.id, false, Recover(seen, ended[k])});
+      ended[At(k)] = seen.next_kept ? k : ended[At(seen.parent)];
+      out.push_back({seen.id, false, Recover(seen.id, ended[At(k)])});
     } else {
       out.push_back({seen.id, seen.kept, Estimate(seen.id, recovery)});
     }
@@ -158,15 +137,15 @@ template <class Pose>
 typename CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId id) const {
   using Jacobian = typename Pose::Jacobian;
   const Jacobian I = Jacobian::Identity();
-  const Seen& seen = Find(id);
+  const auto& seen = history_->Find(id);
   Error error;
   if (seen.kept) {
     error.T_world_body = solver_->Estimate(id);
     error.AddKept(id, I);
     return error;
   }
-  const int at = index_.at(id.value), ended = EndedBefore(at);
-  const Bridge bridge = BridgeOf(seen, ended);
+  const int at = history_->IndexOf(id), ended = history_->EndedBefore(id);
+  const Bridge bridge = BridgeOf(id, ended);
   const typename Pose::Tangent shared = bridge.K * bridge.e;
   const Pose T_base_pose = Pose::Exp(shared) * seen.T_base_pose.T_a_b;
   const Jacobian A = T_base_pose.Inverse().Adjoint(), J = Pose::LeftJacobian(shared),
@@ -176,10 +155,10 @@ typename CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId id) 
   error.AddKept(seen.base, A * (I - G));
   error.AddChain({at, A * J, AtBase(seen.T_base_pose)});
   if (ended >= 0) {
-    const PoseId next = *history_[At(ended)].next_kept;
-    const int by = history_[At(ended)].ended_by;
+    const PoseId next = *(*history_)[ended].next_kept;
+    const int by = (*history_)[ended].ended_by;
     error.AddKept(next, A * G * bridge.T_base_next.Adjoint());
-    error.AddChain({by < 0 ? index_.at(next.value) : EndedByLink(by), -A * J * bridge.K, bridge.P_next});
+    error.AddChain({by < 0 ? history_->IndexOf(next) : history_->EndedByLink(by), -A * J * bridge.K, bridge.P_next});
   }
   return error;
 }
@@ -199,8 +178,8 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error& erro
   while (!chains.empty()) {
     const auto newest =
         std::max_element(chains.begin(), chains.end(), [](const Chain& a, const Chain& b) { return a.at < b.at; });
-    const int previous = ParentOnChain(newest->at);
-    if (previous < 0 || history_[At(previous)].kept) {
+    const int previous = history_->ParentOnChain(newest->at);
+    if (previous < 0 || (*history_)[previous].kept) {
       add(*newest, Jacobian::Zero());
       chains.erase(newest);
       continue;
@@ -208,7 +187,7 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error& erro
     const auto met = std::find_if(chains.begin(), chains.end(), [&](const Chain& c) { return c.at == previous; });
     newest->at = previous;
     if (met == chains.end()) continue;
-    const Jacobian P = AtBase(history_[At(previous)].T_base_pose);
+    const Jacobian P = AtBase((*history_)[previous].T_base_pose);
     add(*newest, P);
     add(*met, P);
     met->C += newest->C;
@@ -243,11 +222,8 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::RelativeCovariance(PoseId a, Pose
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                         \
-  template int CompactPoseSlam<Pose>::EndedBefore(int) const;                                           \
-  template int CompactPoseSlam<Pose>::EndedByLink(int) const;                                           \
-  template int CompactPoseSlam<Pose>::ParentOnChain(int) const;                                         \
-  template CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(const Seen&, int) const;       \
-  template Pose CompactPoseSlam<Pose>::Recover(const Seen&, int) const;                                 \
+  template CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(PoseId, int) const;            \
+  template Pose CompactPoseSlam<Pose>::Recover(PoseId, int) const;                                      \
   template Pose CompactPoseSlam<Pose>::Estimate(PoseId) const;                                          \
   template Pose CompactPoseSlam<Pose>::Estimate(PoseId, Recovery) const;                                \
   template std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery) const;          \

@@ -1,25 +1,17 @@
 // What of a compact run is stored: all but what the next step works out again to the same bits.
 
-#include <algorithm>
-
 #include "compact_pose_slam_parts.h"
 #include "fused_edges.h"
 #include "terse/compact/state_members.h"
-#include "terse/core/at.h"
 #include "terse/core/log_message.h"
 
 namespace terse {
-namespace {
-
-using internal::At;
-
-}  // namespace
 
 template <class Pose>
 template <class Archive>
 void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
-  auto& [options, most_innovation, most_distance, solver, marginals, gains, history, index, links, fused, refused,
-         failed, searches, T_pose_base, reach, searched_version, searched_base] = *this;
+  auto& [options, most_innovation, most_distance, solver, marginals, gains, history, links, fused, refused, failed,
+         searches, T_pose_base, reach, searched_version, searched_base] = *this;
   archive(options);
   if constexpr (Archive::kReads) TakeOptions(options);
   archive(*solver, *marginals, searches, *gains);
@@ -27,12 +19,7 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
     auto& [factor, added_at, gain] = link;
     archive(factor, added_at, gain);
   });
-  archive.Each(history, [&](Seen& seen) {
-    auto& [id, base, T_base_pose, T_world_body_when_seen, previous, parent, successors, kept, anchored, next_kept,
-           T_base_next, ended_by, stretch, carried, odometry] = seen;
-    archive(id, base, T_base_pose, T_world_body_when_seen, previous, parent, successors, kept, anchored, next_kept,
-            T_base_next, ended_by, stretch, carried, odometry);
-  });
+  archive(*history);
   archive(*fused);
   archive.Each(refused, [&](Refused& link) {
     auto& [candidate, seen, T_candidate_seen] = link;
@@ -43,28 +30,8 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
     archive(candidate, seen);
   });
   if constexpr (Archive::kReads) {
-    index.clear();
-    std::vector<int> successors_of(history.size(), 0);
-    for (const Seen& seen : history) {
-      const int at = static_cast<int>(index.size());
-      const bool is_known = solver->Graph().HasPose(seen.base) && seen.kept == (seen.id == seen.base) &&
-                            (!seen.next_kept || solver->Graph().HasPose(*seen.next_kept));
-      const bool has_chain = seen.previous < at && (seen.previous < 0) == (at == 0) && seen.parent < at &&
-                             (seen.parent < 0) == (at == 0) && (seen.anchored || seen.parent == seen.previous);
-      const int poses = static_cast<int>(history.size());
-      const bool has_end = seen.ended_by < poses && (seen.ended_by < 0 || history[At(seen.ended_by)].anchored);
-      if (!is_known || !has_chain || !has_end) archive.Fail("a pose without its chain");
-      // A dropped pose hangs where the one before it on its chain does; so chains end at a kept pose.
-      const auto before = static_cast<std::size_t>(std::max(seen.parent, 0));
-      if (!seen.kept && (at == 0 || history[before].base != seen.base)) archive.Fail("a pose without its chain");
-      if (seen.stretch != (seen.kept ? -1 : StretchBehind(seen.parent, seen.anchored, at)))
-        archive.Fail("a pose without its chain");
-      if (at > 0) ++successors_of[before];
-      if (!index.emplace(seen.id.value, at).second) archive.Fail("a pose comes twice");
-    }
-    for (std::size_t k = 0; k < history.size(); ++k) {
-      if (history[k].successors != successors_of[k]) archive.Fail("a pose with another number of successors");
-    }
+    const std::string defect = history->FindStateDefect(solver->Graph());
+    if (!defect.empty()) archive.Fail(defect);
     for (const Refused& link : refused) {
       if (!solver->Graph().HasPose(link.candidate) || !HasSeen(link.seen)) archive.Fail("a link of unknown poses");
     }

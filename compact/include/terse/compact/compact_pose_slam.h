@@ -48,6 +48,12 @@ class PoseIndex;
 template <class Pose>
 class FusedEdges;
 class GainControl;
+namespace internal {
+template <class Pose>
+class PoseHistory;
+template <class Pose>
+struct Revival;
+}  // namespace internal
 
 // How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Ila et al. 2017 Eq. 24): chained to the
 // kept pose before them. kV2 (Ila et al. 2017 Eqs. 25-26): that chain's misfit at the next kept pose spread over it by
@@ -107,8 +113,8 @@ class CompactPoseSlam {
   // an unknown pose or a defective prior.
   FactorId AddPrior(const Factor<Pose>& prior);
   // A kept pose itself, for a dropped one the kept pose that it hangs on. Throws std::invalid_argument if unknown.
-  PoseId KeptBase(PoseId id) const { return Find(id).base; }
-  bool HasSeen(PoseId id) const { return index_.count(id.value) != 0; }
+  PoseId KeptBase(PoseId id) const;
+  bool HasSeen(PoseId id) const;
 
   // The kept poses and links.
   const IncrementalSolver<Pose>& Solver() const { return *solver_; }
@@ -140,33 +146,11 @@ class CompactPoseSlam {
   CompactMap<Pose> Export(Recovery recovery = Recovery::kV2) const;
   static CompactPoseSlam Restore(const CompactMap<Pose>& map, const CompactOptions<Pose>& options);
 
-  int PosesSeen() const { return static_cast<int>(history_.size()); }
+  int PosesSeen() const;
   int LinksKept() const { return static_cast<int>(links_.size()); }
 
  private:
   using Jacobian = typename Pose::Jacobian;
-  // Where a pose hangs: itself if kept (identity), else the kept pose before it.
-  struct Seen {
-    PoseId id, base;
-    UncertainPose<Pose> T_base_pose;
-    Pose T_world_body_when_seen;
-    int previous = -1;  // the pose its odometry comes from, in history_
-    // The pose that its chain comes from: the same, unless a link has anchored it to another one.
-    int parent = -1;
-    int successors = 0;  // poses whose chain comes from it
-    bool kept = true;
-    bool anchored = false;
-    // A dropped pose's chain as it ends at the next kept pose: with that one's odometry, or with a link of the pose
-    // `ended_by`, which was anchored.
-    std::optional<PoseId> next_kept;
-    UncertainPose<Pose> T_base_next;
-    int ended_by = -1;
-    // Chains are measured in stretches: from a kept pose or a link on. The first pose of this one's, in history_ (-1 of
-    // a kept pose), and there, whether it served to carry a loop of another pose: once is all.
-    int stretch = -1;
-    bool carried = false;
-    FactorId odometry;  // of a kept pose but the first: the factor that it came in with
-  };
   struct Link {
     FactorId factor;
     PoseId added_at;             // the last pose seen then
@@ -181,7 +165,7 @@ class CompactPoseSlam {
   struct Failed {
     PoseId candidate, seen;
   };
-  struct Revival;    // a dropped pose as it comes back
+  using Revival = internal::Revival<Pose>;
   struct Offer;      // a loop that came with the pose at hand
   struct Ask;        // a pose that may be linked
   struct Evaluated;  // one with what is known of it
@@ -197,16 +181,9 @@ class CompactPoseSlam {
   void LogVerdict(const Decision& decision) const;
   void Judge(const Current& current, Decision& decision) const;
   std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links, const Revival* revival = nullptr);
-  int StretchBehind(int parent, bool anchored, int at) const;
-  void EndChain(int last, PoseId next, const UncertainPose<Pose>& T_base_next, int ended_by);
   void Remember(const Current& current);
-  const Seen& Find(PoseId id) const;
-  RelativePoseFactor<Pose> Carry(const RelativePoseFactor<Pose>& link, const Seen* from, const Seen* to) const;
   // compact_loops.cpp
   void TakeOffers(Current& current) const;
-  int StretchBefore(int stretch) const;
-  bool IsSpent(PoseId dropped) const;
-  void SpendChain(int pose);
   void Spend(const Offer& offer);
   bool TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
   void Search(Current& current, Decision& decision, const Registration<Pose>& registration);
@@ -245,7 +222,6 @@ class CompactPoseSlam {
   void AddEdges(PoseId added_at, std::vector<NewEdge>& edges, Decision& decision, std::optional<StepReport>& report);
   void ReplaceEdges(PoseId added_at, ChangedEdges& changed, std::optional<StepReport>& report);
   // compact_revival.cpp
-  bool IsPlainChain(PoseId dropped, int newest, int successors_of_newest) const;
   std::optional<Revival> PlanRevival(PoseId dropped) const;
   Revival PlanRevivalOnChain(PoseId dropped, const Current& current) const;
   void AddRevival(const Revival& revival, GraphUpdate<Pose>& update) const;
@@ -263,18 +239,13 @@ class CompactPoseSlam {
   // compact_recovery.cpp
   struct Bridge;
   struct Error;
-  int EndedByLink(int by) const;
-  int ParentOnChain(int at) const;
-  int EndedBefore(int pose) const;
-  Bridge BridgeOf(const Seen& seen, int ended) const;
-  Pose Recover(const Seen& seen, int ended) const;
+  Bridge BridgeOf(PoseId dropped, int ended) const;
+  Pose Recover(PoseId dropped, int ended) const;
   Error ErrorOf(PoseId id) const;
   typename Pose::Jacobian CovarianceOf(const Error& error) const;
   typename Pose::Jacobian ChainCovariance(const Error& error) const;
   // compact_map.cpp
-  std::vector<PoseId> ComposedOf(const RelativePoseFactor<Pose>& edge) const;
   void RestoreEdge(const typename CompactMap<Pose>::Edge& edge, FactorId factor);
-  void TakeHistory(const CompactMap<Pose>& map);
   // compact_outliers.cpp
   UncertainPose<Pose> Between(PoseId a, PoseId b) const;
   UncertainPose<Pose> FromSeen(PoseId id, const Current& current) const;
@@ -291,13 +262,12 @@ class CompactPoseSlam {
   std::unique_ptr<IncrementalSolver<Pose>> solver_;
   std::unique_ptr<IncrementalMarginals<Pose>> marginals_;
   std::unique_ptr<GainControl> gains_;  // the thresholds in force
-  std::vector<Seen> history_;
-  std::unordered_map<std::int64_t, int> index_;  // into history_
-  std::vector<Link> links_;                      // ascending factors
-  std::unique_ptr<FusedEdges<Pose>> fused_;      // kBounded: what joins kept poses
-  std::vector<Refused> refused_;                 // the last ones
-  std::vector<Failed> failed_;                   // likewise
-  bool searches_ = false;                        // covariances are kept with every change
+  std::unique_ptr<internal::PoseHistory<Pose>> history_;
+  std::vector<Link> links_;                  // ascending factors
+  std::unique_ptr<FusedEdges<Pose>> fused_;  // kBounded: what joins kept poses
+  std::vector<Refused> refused_;             // the last ones
+  std::vector<Failed> failed_;               // likewise
+  bool searches_ = false;                    // covariances are kept with every change
   // Of all kept poses, as seen from them: the kept pose that the search was last made ready for, with covariances.
   std::vector<UncertainPose<Pose>> T_pose_base_;
   std::unique_ptr<PoseIndex<Pose>> reach_;
