@@ -61,9 +61,13 @@ void CompactPoseSlam<Pose>::Spend(const Offer& offer) {
 }
 
 template <class Pose>
-void CompactPoseSlam<Pose>::TakeOffers(Current& current) const {
+void CompactPoseSlam<Pose>::TakeOffers(Current& current, Decision& decision) const {
   if (!current.input->loops) return;
   for (const RelativePoseFactor<Pose>& loop : *current.input->loops) {
+    if (history_->IsForgotten(loop.from) || history_->IsForgotten(loop.to)) {
+      ++decision.loops_forgotten;
+      continue;
+    }
     Offer offer;
     if (TakeOffer(current, loop, offer)) current.offers.push_back(std::move(offer));
   }
@@ -339,7 +343,7 @@ bool CompactPoseSlam<Pose>::IsNearFailed(const std::vector<Failed>& failed, Pose
   template void CompactPoseSlam<Pose>::Spend(const Offer&);                                                           \
   template bool CompactPoseSlam<Pose>::IsBelieved(const Current*, const UncertainPose<Pose>&,                         \
                                                   const UncertainPose<Pose>&, Candidate&);                            \
-  template void CompactPoseSlam<Pose>::TakeOffers(Current&) const;                                                    \
+  template void CompactPoseSlam<Pose>::TakeOffers(Current&, Decision&) const;                                                    \
   template bool CompactPoseSlam<Pose>::TakeOffer(const Current&, const RelativePoseFactor<Pose>&, Offer&) const;      \
   template bool CompactPoseSlam<Pose>::AcceptOnChain(Current&, const Offer&, Candidate&, Decision&);                  \
   template bool CompactPoseSlam<Pose>::IsCostlyToCarry(const Offer&, const UncertainPose<Pose>&) const;               \

@@ -33,6 +33,7 @@ class Inspection {
   explicit Inspection(const CompactMap<Pose>& map) : map_(map) {}
 
   std::string Run() {
+    if (map_.forgotten < 0) return "forgotten: expected 0 or more";
     for (size_t k = 0; k < map_.poses.size() && defect_.empty(); ++k) {
       where_ = "poses[" + std::to_string(k) + "].";
       CheckPose(map_.poses[k]);
@@ -48,7 +49,7 @@ class Inspection {
       CheckFactor(edge.factor);
       ExpectKept(edge.measured.from, "from");
       ExpectKept(edge.measured.to, "to");
-      if (at_.count(edge.added_at.value) == 0) Fail("added_at", Text(edge.added_at) + " is none of the poses");
+      ExpectSeen(edge.added_at, "added_at");
       CheckMeasured(Factor<Pose>(edge.measured));
       CheckParts(edge.parts, "edges[" + std::to_string(k) + "].");
     }
@@ -102,7 +103,11 @@ class Inspection {
     if (!IsFinite(pose.T_world_body_when_seen)) Fail("T_world_body_when_seen", "not finite");
     const bool is_first = at_.empty();
     if (is_first && !pose.kept) Fail("kept", "false, but the first pose is always kept");
-    if (is_first != !pose.previous) Fail("previous", is_first ? "the first pose has none" : "missing, expected an id");
+    const bool has_forgotten = map_.forgotten > 0 && pose.anchored_to;
+    if (has_forgotten && is_first) Fail("anchored_to", "the first pose is kept");
+    if (map_.forgotten > 0 && !is_first && pose.id < last_) Fail("id", "does not ascend, but poses are forgotten");
+    last_ = pose.id;
+    if (is_first == pose.previous.has_value() && !has_forgotten) Fail("previous", is_first ? "the first pose has none" : "missing, expected an id");
     const SeenPose* previous = pose.previous ? Earlier(*pose.previous) : nullptr;
     if (pose.previous && previous == nullptr) {
       Fail("previous", Text(*pose.previous) + " is none of the poses before");
@@ -128,9 +133,15 @@ class Inspection {
     const SeenPose* end = Earlier(*pose.ended_by);
     if (end != nullptr && at_.at(end->id.value) <= at_.at(pose.id.value)) {
       Fail("ended_by", Text(*pose.ended_by) + " does not come after the pose");
-    } else if (end == nullptr || !end->anchored_to) {
+    } else if (end == nullptr || !end->anchored_to || !end->previous) {
       Fail("ended_by", Text(*pose.ended_by) + (end == nullptr ? " is none of the poses" : " was not anchored"));
     }
+  }
+  void ExpectSeen(PoseId id, const char* key) {
+    const auto& poses = map_.poses;
+    const bool is_forgotten =
+        map_.forgotten > 0 && !poses.empty() && poses.front().id < id && id < poses.back().id;
+    if (at_.count(id.value) == 0 && !is_forgotten) Fail(key, Text(id) + " is none of the poses");
   }
   void ExpectKept(PoseId id, const char* key) {
     const SeenPose* pose = Earlier(id);
@@ -141,7 +152,7 @@ class Inspection {
   void CheckParts(const std::vector<typename CompactMap<Pose>::Part>& parts, const std::string& edge) {
     for (size_t k = 0; k < parts.size() && defect_.empty(); ++k) {
       where_ = edge + "parts[" + std::to_string(k) + "].";
-      if (at_.count(parts[k].added_at.value) == 0) Fail("added_at", Text(parts[k].added_at) + " is none of the poses");
+      ExpectSeen(parts[k].added_at, "added_at");
       const std::int64_t id = parts[k].id.value, limit = std::int64_t{1} << 60;
       if (id < -limit || (id < -1 && !parts_.insert(parts[k].id).second))
         Fail("id", std::to_string(id) + (id < -limit ? " is out of range" : " is there twice"));
@@ -163,6 +174,7 @@ class Inspection {
 
   const CompactMap<Pose>& map_;
   std::string where_, defect_;
+  PoseId last_;  // looked through
   std::unordered_map<std::int64_t, size_t> at_;  // of those looked through
   std::set<FactorId> factors_, parts_;
 };
@@ -178,6 +190,7 @@ template <class Pose>
 CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery recovery) const {
   CompactMap<Pose> map;
   map.poses = history_->Export();
+  map.forgotten = history_->Forgotten();
   size_t next = 0;
   for (const RecoveredPose<Pose>& pose : Trajectory(recovery)) map.poses[next++].T_world_body = pose.T_world_body;
   auto link = links_.begin();
@@ -218,7 +231,7 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   const std::string defect = FindDefect(map);
   if (!defect.empty()) throw std::invalid_argument(defect);
   CompactPoseSlam slam(options);
-  slam.history_->Restore(map.poses);
+  slam.history_->Restore(map.poses, map.forgotten);
   for (const auto& refused : map.refused) {
     slam.refused_.push_back({refused.candidate, refused.seen, refused.T_candidate_seen});
   }

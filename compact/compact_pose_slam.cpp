@@ -64,6 +64,8 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   if (!(o.failed_neighbourhood >= 0))
     throw std::invalid_argument("compact options: the neighbourhood of failed registrations must not be negative");
   if (o.most_recorded < 0) throw std::invalid_argument("compact options: no less than 0 candidates can be recorded");
+  if (o.most_dropped && *o.most_dropped < 1)
+    throw std::invalid_argument("compact options: at least one dropped pose has to be remembered");
   if (o.consensus < 2) throw std::invalid_argument("compact options: a consensus takes at least two links");
   if (!(o.distance.view_axis.norm() > 0) || !o.distance.view_axis.allFinite()) {
     throw std::invalid_argument("compact options: the view axis is zero or not finite");
@@ -113,6 +115,10 @@ template <class Pose>
 void CompactPoseSlam<Pose>::CheckPose(const CompactInput<Pose>& input) const {
   const std::string name = "pose " + std::to_string(input.id.value);
   if (history_->Has(input.id)) throw std::invalid_argument(name + " was added already");
+  if (history_->IsForgotten(input.id)) {
+    throw std::invalid_argument(name + " comes after pose " + std::to_string(history_->Newest().value) +
+                                ", but poses are forgotten, and so ids have to ascend");
+  }
   if (input.odometry.has_value() == history_->IsEmpty()) {
     throw std::invalid_argument(name + (history_->IsEmpty() ? " is the first and has odometry" : " has no odometry"));
   }
@@ -134,7 +140,8 @@ void CompactPoseSlam<Pose>::CheckPose(const CompactInput<Pose>& input) const {
       if (!defect.empty()) throw std::invalid_argument(defect);
       if (loop.from != input.id && loop.to != input.id)
         throw std::invalid_argument("a loop of " + name + " does not touch it");
-      history_->Find(loop.from == input.id ? loop.to : loop.from);
+      const PoseId other = loop.from == input.id ? loop.to : loop.from;
+      if (!history_->IsForgotten(other)) history_->Find(other);
     }
   }
   if (!input.odometry) return;
@@ -285,9 +292,9 @@ Decision CompactPoseSlam<Pose>::AddPose(PoseId id, const std::optional<RelativeP
 template <class Pose>
 Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration) {
   Current current = Start(input);
-  TakeOffers(current);
   Decision decision;
   decision.id = input.id;
+  TakeOffers(current, decision);
   try {
     if (history_->IsEmpty()) {
       Keep(current, {});
@@ -314,6 +321,11 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   Remember(current);
   const int loops = input.loops ? static_cast<int>(input.loops->size()) : decision.registrations_tried;
   gains_->Follow(options_, static_cast<int>(solver_->Graph().Poses().size()), LinksKept(), loops);
+  if (options_.most_dropped && history_->Forget(*options_.most_dropped)) {
+    const auto is_forgotten = [&](const auto& link) { return history_->IsForgotten(link.seen); };
+    refused_.erase(std::remove_if(refused_.begin(), refused_.end(), is_forgotten), refused_.end());
+    failed_.erase(std::remove_if(failed_.begin(), failed_.end(), is_forgotten), failed_.end());
+  }
   KeepNewest(kMostRefused, refused_);
   KeepNewest(kMostFailed, failed_);
   LogVerdict(decision);
@@ -336,13 +348,18 @@ PoseId CompactPoseSlam<Pose>::KeptBase(PoseId id) const {
 }
 
 template <class Pose>
+bool CompactPoseSlam<Pose>::HasForgotten(PoseId id) const {
+  return history_->IsForgotten(id);
+}
+
+template <class Pose>
 bool CompactPoseSlam<Pose>::HasSeen(PoseId id) const {
   return history_->Has(id);
 }
 
 template <class Pose>
 int CompactPoseSlam<Pose>::PosesSeen() const {
-  return history_->Size();
+  return static_cast<int>(history_->Size() + history_->Forgotten());
 }
 
 template <class Pose>

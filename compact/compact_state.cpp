@@ -46,7 +46,7 @@ void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
         archive.Fail("an edge that is not in the map");
     }
     for (const Link& link : links) {
-      if (solver->Graph().FindFactor(link.factor) == nullptr || !HasSeen(link.added_at))
+      if (solver->Graph().FindFactor(link.factor) == nullptr || !(HasSeen(link.added_at) || HasForgotten(link.added_at)))
         archive.Fail("a link that is not in the map");
     }
   }

@@ -50,6 +50,8 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFa
     open_->loops->push_back(edge);
     return {};
   }
+  const PoseId known = knows_from ? edge.from : edge.to;
+  if (slam_->HasForgotten(known)) throw std::invalid_argument(Name(known) + " is forgotten: it was dropped long ago");
   CompactInput<Pose> next = Prepare(knows_from ? edge.to : edge.from, edge);
   std::vector<StreamOutcome> out = Flush();
   OpenNext(std::move(next));
@@ -59,6 +61,8 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFa
 template <class Pose>
 LateLink MeasurementStream<Pose>::LinkLate(const RelativePoseFactor<Pose>& edge) {
   LateLink link{edge.from, edge.to, {}};
+  link.forgotten = slam_->HasForgotten(edge.from) || slam_->HasForgotten(edge.to);
+  if (link.forgotten) return link;
   link.decision.from = slam_->KeptBase(edge.from);
   link.decision.to = slam_->KeptBase(edge.to);
   if (link.decision.from != link.decision.to) link.decision = slam_->AddLink(edge);
@@ -70,6 +74,7 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddPrior(const Factor<Pose>&
   const PoseId id = PosesOf(prior).first;
   if (slam_->HasSeen(id)) return {LatePrior{id, slam_->KeptBase(id), slam_->AddPrior(prior)}};
   if (!IsOpen(id)) {
+    if (slam_->HasForgotten(id)) throw std::invalid_argument("a prior on " + Name(id) + ", which is forgotten");
     if (!IsEmpty()) throw std::invalid_argument("a prior on " + Name(id) + ", which no edge has named yet");
     OpenNext(Prepare(id, std::nullopt));
   }
@@ -82,14 +87,16 @@ void MeasurementStream<Pose>::SetValue(PoseId id, const Pose& T_world_body) {
   if (!std::isfinite(T_world_body.Log().sum())) {
     throw std::invalid_argument("the value of " + Name(id) + " is beyond all numbers");
   }
-  if (slam_->HasSeen(id)) throw std::invalid_argument("the value of " + Name(id) + " comes after the pose was closed");
+  if (slam_->HasSeen(id) || slam_->HasForgotten(id))
+    throw std::invalid_argument("the value of " + Name(id) + " comes after the pose was closed");
   (IsOpen(id) ? open_->T_world_body.emplace() : values_[id]) = T_world_body;
 }
 
 template <class Pose>
 void MeasurementStream<Pose>::Fix(const std::vector<PoseId>& ids) {
   for (const PoseId id : ids) {
-    if (slam_->HasSeen(id)) throw std::invalid_argument(Name(id) + " is fixed only after it was closed");
+    if (slam_->HasSeen(id) || slam_->HasForgotten(id))
+      throw std::invalid_argument(Name(id) + " is fixed only after it was closed");
     if (IsOpen(id) && open_->odometry && !open_->T_world_body) {
       throw std::invalid_argument(Name(id) + " is fixed but has no value");
     }

@@ -12,8 +12,16 @@ namespace terse::internal {
 template <class Pose>
 int PoseHistory<Pose>::IndexOf(PoseId id) const {
   const auto it = index_.find(id.value);
-  if (it == index_.end()) throw std::invalid_argument("pose " + std::to_string(id.value) + " was never added");
+  if (it == index_.end()) {
+    throw std::invalid_argument("pose " + std::to_string(id.value) +
+                                (IsForgotten(id) ? " is forgotten: it was dropped long ago" : " was never added"));
+  }
   return it->second;
+}
+
+template <class Pose>
+bool PoseHistory<Pose>::IsForgotten(PoseId id) const {
+  return forgotten_ > 0 && !Has(id) && seen_.front().id < id && id < seen_.back().id;
 }
 
 // Which stretch the pose at a place belongs to.
@@ -37,6 +45,7 @@ void PoseHistory<Pose>::Append(Seen seen, std::optional<PoseId> previous, std::o
   if (previous) seen.previous = IndexOf(*previous);
   if (parent) seen.parent = IndexOf(*parent);
   if (seen.parent >= 0) ++Mutable(seen.parent).successors;
+  ascends_ = ascends_ && (IsEmpty() || Newest() < seen.id);
   index_[seen.id.value] = place;
   seen_.push_back(std::move(seen));
   Seen& appended = seen_.back();
@@ -55,6 +64,65 @@ void PoseHistory<Pose>::EndChain(PoseId last, PoseId next, const UncertainPose<P
     dropped.T_base_next = T_base_next;
     dropped.ended_by = ended_by;
   }
+}
+
+// The chain of a dropped pose as one that has not ended; nothing is carried along it any more, as what came of the rest
+// of it is in the map.
+template <class Pose>
+void PoseHistory<Pose>::LoseEnd(int place) {
+  Seen& seen = Mutable(place);
+  seen.next_kept.reset();
+  seen.T_base_next = {};
+  seen.ended_by = -1;
+  SpendChain(seen.id);
+}
+
+template <class Pose>
+bool PoseHistory<Pose>::Forget(int most_dropped) {
+  if (!ascends_ || Size() - size_when_swept_ <= std::max(most_dropped, size_when_swept_ / 2)) return false;
+  std::vector<bool> stays(seen_.size(), false);
+  int dropped = 0;
+  for (int at = Size() - 1; at >= 0; --at) {
+    const Seen& seen = (*this)[at];
+    if (seen.kept || dropped < most_dropped) stays[At(at)] = true;
+    dropped += !seen.kept;
+    if (stays[At(at)] && seen.parent >= 0) stays[At(seen.parent)] = true;
+  }
+  // Where a link has ended a chain, the rest of the chain may go while some of it stays.
+  for (int at = 0; at < Size(); ++at) {
+    const int by = (*this)[at].ended_by;
+    if (stays[At(at)] && by >= 0 && !(stays[At(by)] && stays[At((*this)[by].previous)])) LoseEnd(at);
+  }
+  const long before = forgotten_;
+  Erase(stays);
+  size_when_swept_ = Size();
+  return forgotten_ > before;
+}
+
+template <class Pose>
+void PoseHistory<Pose>::Erase(const std::vector<bool>& stays) {
+  std::vector<int> place(seen_.size(), -1);
+  int next = 0;
+  for (size_t at = 0; at < seen_.size(); ++at) {
+    if (stays[at]) place[at] = next++;
+  }
+  const auto move = [&](int& at) {
+    if (at >= 0) at = place[At(at)];
+  };
+  for (size_t at = 0; at < seen_.size(); ++at) {
+    Seen& seen = seen_[at];
+    if (!stays[at]) {
+      index_.erase(seen.id.value);
+      continue;
+    }
+    for (int* reference : {&seen.previous, &seen.parent, &seen.ended_by, &seen.stretch}) move(*reference);
+    seen.successors = 0;
+    index_[seen.id.value] = place[at];
+    if (seen.parent >= 0) ++Mutable(seen.parent).successors;  // moved already
+    if (place[At(static_cast<int>(at))] != static_cast<int>(at)) seen_[At(place[at])] = std::move(seen);
+  }
+  forgotten_ += static_cast<long>(seen_.size()) - next;
+  seen_.resize(At(next));
 }
 
 template <class Pose>
@@ -163,7 +231,8 @@ std::vector<typename PoseHistory<Pose>::SeenPose> PoseHistory<Pose>::Export() co
 }
 
 template <class Pose>
-void PoseHistory<Pose>::Restore(const std::vector<SeenPose>& poses) {
+void PoseHistory<Pose>::Restore(const std::vector<SeenPose>& poses, long forgotten) {
+  forgotten_ = forgotten;
   for (const SeenPose& pose : poses) {
     Seen seen;
     seen.id = pose.id;
@@ -187,7 +256,7 @@ void PoseHistory<Pose>::Restore(const std::vector<SeenPose>& poses) {
 template <class Pose>
 template <class Archive>
 void PoseHistory<Pose>::Serialize(Archive& archive) {
-  auto& [all, index] = *this;
+  auto& [all, index, forgotten, size_when_swept, ascends] = *this;
   archive.Each(all, [&](Seen& seen) {
     auto& [id, base, T_base_pose, T_world_body_when_seen, previous, parent, successors, kept, anchored, next_kept,
            T_base_next, ended_by, stretch, carried, odometry] = seen;
@@ -200,18 +269,23 @@ void PoseHistory<Pose>::Serialize(Archive& archive) {
       if (!index.emplace(seen.id.value, static_cast<int>(index.size())).second) archive.Fail("a pose comes twice");
     }
   }
+  archive(forgotten, size_when_swept, ascends);
 }
 
 template <class Pose>
 std::string PoseHistory<Pose>::FindStateDefect(const PoseGraph<Pose>& kept) const {
+  if (forgotten_ < 0 || size_when_swept_ < 0 || size_when_swept_ > Size()) return "a wrong count of poses forgotten";
   std::vector<int> successors(seen_.size(), 0);
   for (int at = 0; at < Size(); ++at) {
     const Seen& seen = (*this)[at];
+    if (forgotten_ > 0 && at > 0 && !((*this)[at - 1].id < seen.id)) return "ids that do not ascend";
     const bool is_known = kept.HasPose(seen.base) && seen.kept == (seen.id == seen.base) &&
                           (!seen.next_kept || kept.HasPose(*seen.next_kept));
-    const bool has_chain = seen.previous < at && (seen.previous < 0) == (at == 0) && seen.parent < at &&
+    const bool knows_previous = seen.previous >= 0 || (seen.anchored && forgotten_ > 0);
+    const bool has_chain = seen.previous < at && knows_previous == (at > 0) && seen.parent < at &&
                            (seen.parent < 0) == (at == 0) && (seen.anchored || seen.parent == seen.previous);
-    const bool has_end = seen.ended_by < Size() && (seen.ended_by < 0 || (*this)[seen.ended_by].anchored);
+    const bool has_end = seen.ended_by < Size() && (seen.ended_by < 0 || ((*this)[seen.ended_by].anchored &&
+                                                                          (*this)[seen.ended_by].previous >= 0));
     if (!is_known || !has_chain || !has_end) return "a pose without its chain";
     // A dropped pose hangs where the one before it on its chain does; so chains end at a kept pose.
     if (!seen.kept && (at == 0 || (*this)[seen.parent].base != seen.base)) return "a pose without its chain";

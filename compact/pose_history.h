@@ -8,7 +8,8 @@
 // What a chain measured counts once: chains are cut in stretches, from a kept pose or a link on, of which each is spent
 // with the first loop of another pose that is carried along it.
 //
-// A place is a pose's number in order of arrival, from 0.
+// A place is a pose's number in order of arrival, from 0, among those that are remembered. Dropped poses can be
+// forgotten (CompactOptions::most_dropped): those that no chain of a remembered one leads through.
 
 #include <optional>
 #include <string>
@@ -57,7 +58,11 @@ class PoseHistory {
   int Size() const { return static_cast<int>(seen_.size()); }
   bool IsEmpty() const { return seen_.empty(); }
   bool Has(PoseId id) const { return index_.count(id.value) != 0; }
-  // Both throw std::invalid_argument if the pose is unknown.
+  long Forgotten() const { return forgotten_; }
+  // Ids have ascended where anything was forgotten, so this is so of all between the first and the newest that are not
+  // there, the ones that never came included.
+  bool IsForgotten(PoseId id) const;
+  // Both throw std::invalid_argument if the pose is unknown, or forgotten.
   int IndexOf(PoseId id) const;
   const Seen& Find(PoseId id) const { return (*this)[IndexOf(id)]; }
   const Seen& operator[](int place) const { return seen_[static_cast<std::size_t>(place)]; }
@@ -70,6 +75,9 @@ class PoseHistory {
   // `next` from now on; `by`: with a link of that pose, which is anchored.
   void EndChain(PoseId last, PoseId next, const UncertainPose<Pose>& T_base_next, std::optional<PoseId> by = {});
   void SetOdometry(PoseId kept, FactorId factor) { Mutable(kept).odometry = factor; }
+  // Forgets dropped poses, if there are many more than these newest and ids have ascended; whether there were any.
+  // Amortised O(1) a pose.
+  bool Forget(int most_dropped);
   // The pose is kept, with this factor as its odometry. Those of its chain hang on the nearer of its parts.
   void Revive(const Revival<Pose>& revival, FactorId odometry);
 
@@ -94,7 +102,7 @@ class PoseHistory {
 
   // As they are in a map, in order, but for their present places in the world; and from there, into an empty history.
   std::vector<SeenPose> Export() const;
-  void Restore(const std::vector<SeenPose>& poses);
+  void Restore(const std::vector<SeenPose>& poses, long forgotten);
 
   template <class Archive>
   void Serialize(Archive& archive);
@@ -106,11 +114,16 @@ class PoseHistory {
   Seen& Mutable(PoseId id) { return Mutable(IndexOf(id)); }
   int StretchAt(int place) const;
   int StretchBefore(int stretch) const;
+  void LoseEnd(int place);
+  void Erase(const std::vector<bool>& stays);
 
   // A parent comes before its pose, and a dropped pose has the base of its parent; so chains lead to kept poses. The
   // first pose is kept.
   std::vector<Seen> seen_;                       // by place
   std::unordered_map<std::int64_t, int> index_;  // the places, by id
+  long forgotten_ = 0;
+  int size_when_swept_ = 0;  // behind the last look for what to forget
+  bool ascends_ = true;      // ids, so far
 };
 
 }  // namespace terse::internal

@@ -95,6 +95,8 @@ void BindDecision(py::module_& module) {
       .def_readonly("registrations_tried", &Decision::registrations_tried, "How often the registration was asked.")
       .def_readonly("links_accepted", &Decision::links_accepted, "Links that are in the map.")
       .def_readonly("links_refused", &Decision::links_refused, "Links that the innovation test refused.")
+      .def_readonly("loops_forgotten", &Decision::loops_forgotten,
+                    "Loops that came with the pose and lead to forgotten ones (CompactOptions.most_dropped).")
       .def_readonly("candidates", &Decision::candidates,
                     "List of Candidate: those tried, in that order, and the best of the others "
                     "(CompactOptions.record). A copy.")

@@ -188,6 +188,10 @@ void BindSelection(Compact& type) {
       type, "keep_links", [](auto& o) -> auto& { return o.budget.keep_links; },
       "The same of the loops that come measured or are registered.");
   DefField(
+      type, "most_dropped", [](auto& o) -> auto& { return o.most_dropped; },
+      "So many of the newest dropped poses are remembered, and those that the chains of others lead through: memory "
+      "then grows with the map alone. None: all.");
+  DefField(
       type, "innovation_quantile", [](auto& o) -> auto& { return o.innovation_quantile; },
       "A link is refused whose innovation a correct one exceeds with less than the remaining probability. None: no "
       "test.");

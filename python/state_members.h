@@ -39,9 +39,9 @@ void Serialize(Archive& archive, ComposedEdge& edge) {
 template <class Archive>
 void Serialize(Archive& archive, Decision& decision) {
   auto& [id, candidates, candidates_found, verdict, pose_gain, registrations_tried, links_accepted, links_refused,
-         revived, anchored_to, edges, update] = decision;
+         loops_forgotten, revived, anchored_to, edges, update] = decision;
   archive(id, candidates, candidates_found, verdict, pose_gain, registrations_tried, links_accepted, links_refused,
-          revived, anchored_to, edges, update);
+          loops_forgotten, revived, anchored_to, edges, update);
 }
 
 template <class Archive>
@@ -159,7 +159,8 @@ void Serialize(Archive& archive, InformationCalibration& calibration) {
 
 template <class Archive, class Pose>
 void Serialize(Archive& archive, CompactMap<Pose>& map) {
-  auto& [poses, edges, priors, fixed, refused, failed] = map;
+  auto& [poses, forgotten, edges, priors, fixed, refused, failed] = map;
+  archive(forgotten);
   archive.Each(poses, [&archive](auto& seen) {
     auto& [id, kept, T_world_body, T_world_body_when_seen, previous, base, T_base_pose, next_kept, T_base_next,
            anchored_to, ended_by, carried] = seen;

@@ -337,6 +337,7 @@ CompactMap<Pose> ReadMap(const Place& root) {
       map.failed.push_back({ReadId(p, "candidate"), ReadId(p, "seen")});
     }
   }
+  if (root.Has("forgotten")) map.forgotten = root.At("forgotten", "a count").Integer();
   const std::string defect = FindDefect(map);
   if (!defect.empty()) root.Fail(defect);
   return map;
@@ -389,6 +390,7 @@ void WriteCompactMap(const CompactMap<Pose>& map, Strategy strategy, const std::
   out << "{\"format\":\"" << kFormat << "\",\"dimension\":" << Pose::kDim << ",\"strategy\":\"" << Name(strategy)
       << '"';
   if (!information_scale.IsOne()) out << ",\"sigma_scale\":" << ToJson(information_scale).dump();
+  if (map.forgotten > 0) out << ",\"forgotten\":" << map.forgotten;
   WriteList("poses", map.poses, PoseText<Pose>, out);
   WriteList("edges", map.edges, EdgeText<Pose>, out);
   WriteList("priors", map.priors, PriorText<Pose>, out);

@@ -135,7 +135,7 @@ class CompactOptions:
         self, dimension: int, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike =
         ..., view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain:
         float = ..., angle: Angle = ..., composition: Composition = ...,
-        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., innovation_quantile: Optional[float] =
+        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] =
         ..., consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record =
         ..., solver: IncrementalOptions = ...,
     ) -> None: ...
@@ -197,6 +197,10 @@ class CompactOptions:
     def keep_links(self) -> Optional[float]: ...
     @keep_links.setter
     def keep_links(self, value: Optional[float]) -> None: ...
+    @property
+    def most_dropped(self) -> Optional[int]: ...
+    @most_dropped.setter
+    def most_dropped(self, value: Optional[int]) -> None: ...
     @property
     def innovation_quantile(self) -> Optional[float]: ...
     @innovation_quantile.setter
@@ -331,6 +335,8 @@ class Decision:
     def links_accepted(self) -> int: ...
     @property
     def links_refused(self) -> int: ...
+    @property
+    def loops_forgotten(self) -> int: ...
     @property
     def candidates(self) -> List[Candidate]: ...
     @property
@@ -799,7 +805,7 @@ class Thresholds:
         self, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ..., view_axis:
         ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
         angle: Angle = ..., composition: Composition = ...,
-        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., innovation_quantile: Optional[float] = ...,
+        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] = ...,
         consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
         solver: IncrementalOptions = ...,
     ) -> CompactOptions: ...
@@ -844,7 +850,7 @@ def read_thresholds(
     path: PathLike, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ...,
     view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
     angle: Angle = ..., composition: Composition = ...,
-    keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., innovation_quantile: Optional[float] = ...,
+    keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] = ...,
     consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
     solver: IncrementalOptions = ...,
 ) -> CompactOptions: ...

@@ -38,6 +38,7 @@ struct OnlineCommandOptions {
   std::vector<double> range, link_deviation;
   std::optional<double> probability, min_pose_gain, min_loop_gain;
   CompactBudget budget;
+  std::string remember;  // a number of dropped poses, "all", or as the journal or the outputs have it
   std::optional<double> innovation_quantile = 0.9999;
   RobustOptions robust;
   Recovery recovery = Recovery::kV2;
@@ -48,6 +49,11 @@ struct OnlineCommandOptions {
 };
 
 constexpr const char* kSource = LineSource::kName;
+
+// Of dropped poses, unless a trajectory is to be written.
+constexpr const char* kAll = "all";
+constexpr int kRemembered = 1000;
+constexpr const char* kMostDropped = "most_dropped";
 
 template <class Pose>
 class OnlineRun {
@@ -291,6 +297,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
   options.budget = from.budget;
+  if (!from.remember.empty() && from.remember != kAll) options.most_dropped = std::stoi(from.remember);
   options.log = from.log;
   return options;
 }
@@ -303,6 +310,7 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   const auto& [keep_poses, keep_links] = settings.budget;
   if (keep_poses) json["keep_poses"] = *keep_poses;
   if (keep_links) json["keep_links"] = *keep_links;
+  if (settings.most_dropped) json[kMostDropped] = *settings.most_dropped;
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
   json["robust"] = WordOf(options.robust.kernel);
@@ -329,6 +337,16 @@ void ExpectSameHeader(const Journal& journal, const ordered_json& now) {
         journal.Path(), 0,
         "the journal was begun with other options: " + key + " is " + old.dump() + " there, " + value.dump() + " now");
   }
+}
+
+// Unless it is said, as the journal has it, so that a run goes on as it began.
+std::string Remembered(const OnlineCommandOptions& options, const Journal* journal) {
+  if (!options.remember.empty()) return options.remember;
+  if (journal != nullptr && !journal->IsNew()) {
+    const ordered_json most_dropped = ParseHeader(*journal).value(kMostDropped, ordered_json());
+    return most_dropped.is_number_integer() ? most_dropped.dump() : kAll;
+  }
+  return options.directory.empty() ? std::to_string(kRemembered) : kAll;
 }
 
 template <class Pose>
@@ -358,7 +376,7 @@ int KnownDimension(const OnlineCommandOptions& options, const Journal* journal) 
   return dimension == 2 ? 2 : 3;
 }
 
-void Online(const OnlineCommandOptions& options) {
+void Online(OnlineCommandOptions options) {
   if (options.strategy != Strategy::kApal && options.thresholds.empty() && options.range.empty()) {
     throw CLI::ValidationError("--thresholds", "this or --range is required");
   }
@@ -373,6 +391,7 @@ void Online(const OnlineCommandOptions& options) {
   std::optional<Journal> journal;
   if (!options.journal.empty()) journal.emplace(options.journal);
   Journal* const used = journal ? &*journal : nullptr;
+  options.remember = Remembered(options, used);
   LineSource source;
   int dimension = KnownDimension(options, used);
   if (dimension == 0) dimension = source.FindDimension();
@@ -435,6 +454,17 @@ void AddOnlineCommand(CLI::App& app) {
                    "Folder for compact.g2o, trajectory.tum and decisions.csv at the end of the input")
       ->type_name("DIR");
   AddChoice(*command, "--recover", options->recovery, Choices<Recovery>(), "How dropped poses come back, see compact");
+  command
+      ->add_option("--remember", options->remember,
+                   "Dropped poses that can still be asked for and linked to: so many of the newest, and those on the "
+                   "chains of others; loops to older ones are left out, and memory grows with the map alone "
+                   "[1000; all with --output]")
+      ->check([](const std::string& text) {
+        const bool is_count = !text.empty() && text.size() < 10 && text.find_first_not_of("0123456789") == text.npos &&
+                              text.find_first_not_of('0') != text.npos;
+        return is_count || text == kAll ? std::string() : text + " is neither a number of poses, 1 or more, nor all";
+      })
+      ->type_name("N|all");
   command->add_flag("--covariances", options->covariances, "Every answer to a pose has its covariance too");
   AddConventionOptions(*command, options->convention);
   command->add_flag("--strict", options->strict, "Stop at the first bad line");

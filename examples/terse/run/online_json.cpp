@@ -63,6 +63,7 @@ ordered_json DecisionJson(const Decision& d, const CompactPoseSlam<Pose>& slam) 
                        {"pose_gain", OrNull(d.pose_gain)},
                        {"links", links},
                        {"estimate", Numbers(slam.Estimate(d.id, Recovery::kV2))}};
+  if (d.loops_forgotten > 0) json["loops_forgotten"] = d.loops_forgotten;
   if (d.anchored_to) json["anchored_to"] = d.anchored_to->value;
   if (!d.edges.empty()) json["edges"] = EdgesJson(d.edges);
   if (d.verdict == PoseVerdict::kPrior) AddUndetermined(slam, json);
@@ -71,6 +72,7 @@ ordered_json DecisionJson(const Decision& d, const CompactPoseSlam<Pose>& slam) 
 
 ordered_json LateLinkJson(const LateLink& link) {
   const LinkDecision& d = link.decision;
+  if (link.forgotten) return {{"link", {link.from.value, link.to.value}}, {"accepted", false}, {"forgotten", true}};
   ordered_json json = {{"link", {link.from.value, link.to.value}},
                        {"kept", {d.from.value, d.to.value}},
                        {"measured_gain", d.gain},

@@ -22,7 +22,8 @@ struct CompactMap {
     bool kept = true;
     Pose T_world_body;                // of a dropped one as recovered
     Pose T_world_body_when_seen;      // Recovery::kV0
-    std::optional<PoseId> previous;   // that its odometry comes from; absent for the first
+    // That its odometry comes from; absent for the first, and where it is forgotten.
+    std::optional<PoseId> previous;
     PoseId base;                      // the kept pose that it hangs on; itself if kept
     UncertainPose<Pose> T_base_pose;  // identity, without covariance, if kept
     // Of a dropped one, once its chain has ended at another kept pose.
@@ -73,6 +74,9 @@ struct CompactMap {
     PoseId candidate, seen;
   };
   std::vector<SeenPose> poses;  // in order of arrival
+  // So many more were dropped and are forgotten (CompactOptions::most_dropped); ids then ascend, and others name them
+  // where they came in with them (added_at, links).
+  long forgotten = 0;
   std::vector<Edge> edges;      // between kept poses, ascending factors
   std::vector<Prior> priors;    // on kept poses
   std::vector<Fixed> fixed;

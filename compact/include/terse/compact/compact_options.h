@@ -59,6 +59,11 @@ struct CompactOptions {
   int consensus = 3;
   Record record = Record::kCandidates;
   int most_recorded = 16;  // kCandidates: so many of those that were not registered
+  // For runs without an end: so many of the newest dropped poses are remembered, at least 1; and those before that the
+  // chains of kept or newer ones lead through. Others are forgotten, with the trajectory that they were part of: loops
+  // to them are counted (Decision::loops_forgotten) and left out. Memory then grows with the map alone, as far as ids
+  // ascend; nothing is forgotten else. Absent: all are remembered.
+  std::optional<int> most_dropped;
   IncrementalOptions solver;
   LogSink log;  // log.h; the solver's too, unless that has its own
 };

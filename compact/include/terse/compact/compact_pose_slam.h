@@ -114,14 +114,16 @@ class CompactPoseSlam {
   FactorId AddPrior(const Factor<Pose>& prior);
   // A kept pose itself, for a dropped one the kept pose that it hangs on. Throws std::invalid_argument if unknown.
   PoseId KeptBase(PoseId id) const;
+  // Whether a pose was seen and is remembered; and whether it was seen and is forgotten (CompactOptions::most_dropped).
   bool HasSeen(PoseId id) const;
+  bool HasForgotten(PoseId id) const;
 
   // The kept poses and links.
   const IncrementalSolver<Pose>& Solver() const { return *solver_; }
   const CompactOptions<Pose>& Options() const { return options_; }
   // Iterates the kept graph to its optimum.
   BatchResult<Pose> Finish();
-  // All poses in order of arrival.
+  // All poses that are remembered, in order of arrival.
   std::vector<RecoveredPose<Pose>> Trajectory(Recovery recovery = Recovery::kV2) const;
   // Of any pose seen, kept or dropped, in the present map (as kV1).
   Pose Estimate(PoseId id) const;
@@ -146,7 +148,7 @@ class CompactPoseSlam {
   CompactMap<Pose> Export(Recovery recovery = Recovery::kV2) const;
   static CompactPoseSlam Restore(const CompactMap<Pose>& map, const CompactOptions<Pose>& options);
 
-  int PosesSeen() const;
+  int PosesSeen() const;  // forgotten ones too
   int LinksKept() const { return static_cast<int>(links_.size()); }
 
  private:
@@ -183,7 +185,7 @@ class CompactPoseSlam {
   std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links, const Revival* revival = nullptr);
   void Remember(const Current& current);
   // compact_loops.cpp
-  void TakeOffers(Current& current) const;
+  void TakeOffers(Current& current, Decision& decision) const;
   void Spend(const Offer& offer);
   bool TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
   void Search(Current& current, Decision& decision, const Registration<Pose>& registration);

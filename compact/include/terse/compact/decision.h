@@ -60,7 +60,8 @@ struct Decision {
   std::optional<double> pose_gain;
   int registrations_tried = 0;
   int links_accepted = 0;
-  int links_refused = 0;  // as outliers
+  int links_refused = 0;    // as outliers
+  int loops_forgotten = 0;  // that came with the pose and lead to forgotten ones (CompactOptions::most_dropped)
   // Poses dropped earlier that are kept from now on, because a loop of this pose leads to them.
   std::vector<PoseId> revived;
   // kBounded: the kept pose at which the chain started anew, and the edges that the pose's links made.

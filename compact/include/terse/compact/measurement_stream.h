@@ -27,6 +27,7 @@ namespace terse {
 struct LateLink {
   PoseId from, to;  // as measured
   LinkDecision decision;
+  bool forgotten = false;  // an end is (CompactOptions::most_dropped): it was not taken
 };
 struct LatePrior {
   PoseId pose;
@@ -66,7 +67,7 @@ class MeasurementStream {
   void Forget(PoseId id);
   std::vector<StreamOutcome> Close();
   bool IsOpen(PoseId id) const { return open_ && open_->id == id; }
-  bool IsKnown(PoseId id) const { return IsOpen(id) || slam_->HasSeen(id); }
+  bool IsKnown(PoseId id) const { return IsOpen(id) || slam_->HasSeen(id) || slam_->HasForgotten(id); }
   bool IsEmpty() const { return !open_ && slam_->PosesSeen() == 0; }
 
   CompactPoseSlam<Pose>* slam_;
