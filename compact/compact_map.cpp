@@ -1,5 +1,3 @@
-// The compact map as a value, and back.
-
 #include "terse/compact/compact_map.h"
 
 #include <Eigen/Cholesky>
@@ -7,11 +5,6 @@
 #include <set>
 #include <stdexcept>
 #include <unordered_map>
-
-#include "compact_pose_slam_parts.h"
-#include "fused_edges.h"
-#include "terse/core/error.h"
-#include "terse/core/require_optimum.h"
 
 namespace terse {
 namespace {
@@ -34,52 +27,12 @@ class Inspection {
 
   std::string Run() {
     if (map_.forgotten < 0) return "forgotten: expected 0 or more";
-    for (size_t k = 0; k < map_.poses.size() && defect_.empty(); ++k) {
-      where_ = "poses[" + std::to_string(k) + "].";
-      CheckPose(map_.poses[k]);
-      at_.emplace(map_.poses[k].id.value, k);
-    }
-    for (size_t k = 0; k < map_.poses.size() && defect_.empty(); ++k) {
-      where_ = "poses[" + std::to_string(k) + "].";
-      CheckNext(map_.poses[k]);
-    }
-    for (size_t k = 0; k < map_.edges.size() && defect_.empty(); ++k) {
-      where_ = "edges[" + std::to_string(k) + "].";
-      const auto& edge = map_.edges[k];
-      CheckFactor(edge.factor);
-      ExpectKept(edge.measured.from, "from");
-      ExpectKept(edge.measured.to, "to");
-      ExpectSeen(edge.added_at, "added_at");
-      CheckMeasured(Factor<Pose>(edge.measured));
-      CheckParts(edge.parts, "edges[" + std::to_string(k) + "].");
-    }
-    for (size_t k = 0; k < map_.priors.size() && defect_.empty(); ++k) {
-      where_ = "priors[" + std::to_string(k) + "].";
-      CheckFactor(map_.priors[k].factor);
-      const FactorPoses ends = PosesOf(map_.priors[k].measured);
-      if (ends.count != 1) Fail("measurement", "a link, expected a prior");
-      ExpectKept(ends.first, "pose");
-      CheckMeasured(map_.priors[k].measured);
-    }
-    std::set<PoseId> fixed;
-    for (size_t k = 0; k < map_.fixed.size() && defect_.empty(); ++k) {
-      where_ = "fixed[" + std::to_string(k) + "].";
-      ExpectKept(map_.fixed[k].pose, "pose");
-      if (!fixed.insert(map_.fixed[k].pose).second) Fail("pose", Text(map_.fixed[k].pose) + " is there twice");
-      if (!IsFinite(map_.fixed[k].T_world_body)) Fail("T_world_body", "not finite");
-    }
-    for (size_t k = 0; k < map_.refused.size() && defect_.empty(); ++k) {
-      where_ = "refused[" + std::to_string(k) + "].";
-      const auto& link = map_.refused[k];
-      ExpectKept(link.candidate, "candidate");
-      if (at_.count(link.seen.value) == 0) Fail("seen", Text(link.seen) + " is none of the poses");
-      CheckChain(link.T_candidate_seen, "T_candidate_seen", "covariance");
-    }
-    for (size_t k = 0; k < map_.failed.size() && defect_.empty(); ++k) {
-      where_ = "failed[" + std::to_string(k) + "].";
-      ExpectKept(map_.failed[k].candidate, "candidate");
-      if (at_.count(map_.failed[k].seen.value) == 0) Fail("seen", Text(map_.failed[k].seen) + " is none of the poses");
-    }
+    CheckPoses();
+    CheckEdges();
+    CheckPriors();
+    CheckFixed();
+    CheckTried("refused", map_.refused);
+    CheckTried("failed", map_.failed);
     return defect_;
   }
 
@@ -89,6 +42,60 @@ class Inspection {
   void Fail(const std::string& key, const std::string& cause) {
     if (defect_.empty()) defect_ = where_ + key + ": " + cause;
   }
+  // Calls check(element) for each while there is no defect.
+  template <class Element, class Check>
+  void Each(const char* list, const std::vector<Element>& elements, const Check& check) {
+    for (size_t k = 0; k < elements.size() && defect_.empty(); ++k) {
+      where_ = std::string(list) + "[" + std::to_string(k) + "].";
+      check(elements[k]);
+    }
+  }
+  void CheckPoses() {
+    Each("poses", map_.poses, [&](const SeenPose& pose) {
+      CheckPose(pose);
+      at_.emplace(pose.id.value, at_.size());
+    });
+    Each("poses", map_.poses, [&](const SeenPose& pose) { CheckNext(pose); });
+  }
+  void CheckEdges() {
+    Each("edges", map_.edges, [&](const auto& edge) {
+      const std::string where = where_;
+      CheckFactor(edge.factor);
+      ExpectKept(edge.measured.from, "from");
+      ExpectKept(edge.measured.to, "to");
+      ExpectCame(edge.added_at, "added_at");
+      CheckMeasured(Factor<Pose>(edge.measured));
+      CheckParts(edge.parts, where);
+    });
+  }
+  void CheckPriors() {
+    Each("priors", map_.priors, [&](const auto& prior) {
+      CheckFactor(prior.factor);
+      const FactorPoses ends = PosesOf(prior.measured);
+      if (ends.count != 1) Fail("measurement", "a link, expected a prior");
+      ExpectKept(ends.first, "pose");
+      CheckMeasured(prior.measured);
+    });
+  }
+  void CheckFixed() {
+    std::set<PoseId> seen;
+    Each("fixed", map_.fixed, [&](const auto& fixed) {
+      ExpectKept(fixed.pose, "pose");
+      if (!seen.insert(fixed.pose).second) Fail("pose", Text(fixed.pose) + " is there twice");
+      if (!IsFinite(fixed.T_world_body)) Fail("T_world_body", "not finite");
+    });
+  }
+  // Links that were not to be.
+  template <class Tried>
+  void CheckTried(const char* list, const std::vector<Tried>& links) {
+    Each(list, links, [&](const Tried& link) {
+      ExpectKept(link.candidate, "candidate");
+      ExpectSeen(link.seen, "seen");
+      if constexpr (std::is_same_v<Tried, typename CompactMap<Pose>::Refused>) {
+        CheckChain(link.T_candidate_seen, "T_candidate_seen", "covariance");
+      }
+    });
+  }
   const SeenPose* Earlier(PoseId id) const {
     const auto it = at_.find(id.value);
     return it == at_.end() ? nullptr : &map_.poses[it->second];
@@ -97,17 +104,23 @@ class Inspection {
     if (!IsFinite(chain.T_a_b)) Fail(key, "not finite");
     if (!IsCovariance(chain)) Fail(covariance, "no covariance: expected finite, symmetric, variances not negative");
   }
+  // Where some are forgotten, so may those be that odometry comes from, but not the poses that chains lead through.
+  void CheckPrevious(const SeenPose& pose, bool is_first) {
+    if (is_first && pose.previous) Fail("previous", "the first pose has none");
+    if (is_first && pose.anchored_to) Fail("anchored_to", "the first pose hangs on no other");
+    const bool may_be_forgotten = map_.forgotten > 0 && pose.anchored_to;
+    if (!is_first && !pose.previous && !may_be_forgotten) Fail("previous", "missing, expected an id");
+    if (!is_first && map_.forgotten > 0 && !(newest_ < pose.id))
+      Fail("id", Text(pose.id) + " comes after " + Text(newest_) + ", but where poses are forgotten ids ascend");
+    newest_ = pose.id;
+  }
   void CheckPose(const SeenPose& pose) {
     if (at_.count(pose.id.value) != 0) Fail("id", Text(pose.id) + " is there twice");
     if (!IsFinite(pose.T_world_body)) Fail("T_world_body", "not finite");
     if (!IsFinite(pose.T_world_body_when_seen)) Fail("T_world_body_when_seen", "not finite");
     const bool is_first = at_.empty();
     if (is_first && !pose.kept) Fail("kept", "false, but the first pose is always kept");
-    const bool has_forgotten = map_.forgotten > 0 && pose.anchored_to;
-    if (has_forgotten && is_first) Fail("anchored_to", "the first pose is kept");
-    if (map_.forgotten > 0 && !is_first && pose.id < last_) Fail("id", "does not ascend, but poses are forgotten");
-    last_ = pose.id;
-    if (is_first == pose.previous.has_value() && !has_forgotten) Fail("previous", is_first ? "the first pose has none" : "missing, expected an id");
+    CheckPrevious(pose, is_first);
     const SeenPose* previous = pose.previous ? Earlier(*pose.previous) : nullptr;
     if (pose.previous && previous == nullptr) {
       Fail("previous", Text(*pose.previous) + " is none of the poses before");
@@ -137,22 +150,25 @@ class Inspection {
       Fail("ended_by", Text(*pose.ended_by) + (end == nullptr ? " is none of the poses" : " was not anchored"));
     }
   }
-  void ExpectSeen(PoseId id, const char* key) {
-    const auto& poses = map_.poses;
-    const bool is_forgotten =
-        map_.forgotten > 0 && !poses.empty() && poses.front().id < id && id < poses.back().id;
-    if (at_.count(id.value) == 0 && !is_forgotten) Fail(key, Text(id) + " is none of the poses");
-  }
   void ExpectKept(PoseId id, const char* key) {
     const SeenPose* pose = Earlier(id);
     if (pose == nullptr || !pose->kept) {
       Fail(key, Text(id) + (pose == nullptr ? " is none of the poses" : " was dropped, expected a kept one"));
     }
   }
+  void ExpectSeen(PoseId id, const char* key) {
+    if (at_.count(id.value) == 0) Fail(key, Text(id) + " is none of the poses");
+  }
+  // Forgotten or not.
+  void ExpectCame(PoseId id, const char* key) {
+    const auto& poses = map_.poses;
+    const bool is_forgotten = map_.forgotten > 0 && !poses.empty() && poses.front().id < id && id < poses.back().id;
+    if (at_.count(id.value) == 0 && !is_forgotten) Fail(key, Text(id) + " is none of the poses");
+  }
   void CheckParts(const std::vector<typename CompactMap<Pose>::Part>& parts, const std::string& edge) {
     for (size_t k = 0; k < parts.size() && defect_.empty(); ++k) {
       where_ = edge + "parts[" + std::to_string(k) + "].";
-      ExpectSeen(parts[k].added_at, "added_at");
+      ExpectCame(parts[k].added_at, "added_at");
       const std::int64_t id = parts[k].id.value, limit = std::int64_t{1} << 60;
       if (id < -limit || (id < -1 && !parts_.insert(parts[k].id).second))
         Fail("id", std::to_string(id) + (id < -limit ? " is out of range" : " is there twice"));
@@ -174,7 +190,7 @@ class Inspection {
 
   const CompactMap<Pose>& map_;
   std::string where_, defect_;
-  PoseId last_;  // looked through
+  PoseId newest_;  // looked through
   std::unordered_map<std::int64_t, size_t> at_;  // of those looked through
   std::set<FactorId> factors_, parts_;
 };
@@ -186,125 +202,7 @@ std::string FindDefect(const CompactMap<Pose>& map) {
   return Inspection<Pose>(map).Run();
 }
 
-template <class Pose>
-CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery recovery) const {
-  CompactMap<Pose> map;
-  map.poses = history_->Export();
-  map.forgotten = history_->Forgotten();
-  size_t next = 0;
-  for (const RecoveredPose<Pose>& pose : Trajectory(recovery)) map.poses[next++].T_world_body = pose.T_world_body;
-  auto link = links_.begin();
-  for (const auto& node : solver_->Graph().Factors()) {
-    const auto* measured = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
-    if (measured == nullptr) {
-      map.priors.push_back({node.id, node.factor});
-      continue;
-    }
-    typename CompactMap<Pose>::Edge edge;
-    edge.factor = node.id;
-    edge.measured = *measured;
-    while (link != links_.end() && link->factor < node.id) ++link;
-    if (link != links_.end() && link->factor == node.id) {
-      edge.is_loop = true;
-      edge.added_at = link->added_at;
-      edge.gain = link->gain;
-    } else {
-      edge.added_at = history_->NewerOf(measured->from, measured->to);
-      edge.composed_of = history_->ChainTo(edge.added_at);
-    }
-    const auto* fused = fused_->Find(FusedEdges<Pose>::Ordered(measured->from, measured->to));
-    if (fused != nullptr && fused->factor == node.id) edge.parts = fused->parts;
-    map.edges.push_back(std::move(edge));
-  }
-  for (const auto& node : solver_->Graph().Poses()) {
-    if (node.fixed) map.fixed.push_back({node.id, *node.T_world_body});
-  }
-  for (const Refused& refused : refused_) {
-    map.refused.push_back({refused.candidate, refused.seen, refused.T_candidate_seen});
-  }
-  for (const Failed& failed : failed_) map.failed.push_back({failed.candidate, failed.seen});
-  return map;
-}
-
-template <class Pose>
-CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map, const CompactOptions<Pose>& options) {
-  const std::string defect = FindDefect(map);
-  if (!defect.empty()) throw std::invalid_argument(defect);
-  CompactPoseSlam slam(options);
-  slam.history_->Restore(map.poses, map.forgotten);
-  for (const auto& refused : map.refused) {
-    slam.refused_.push_back({refused.candidate, refused.seen, refused.T_candidate_seen});
-  }
-  for (const auto& failed : map.failed) slam.failed_.push_back({failed.candidate, failed.seen});
-  if (map.poses.empty()) return slam;
-  GraphUpdate<Pose> update;
-  std::unordered_map<std::int64_t, size_t> place;  // in the update
-  for (const auto& pose : map.poses) {
-    if (!pose.kept) continue;
-    place[pose.id.value] = update.poses.size();
-    update.poses.push_back({pose.id, pose.T_world_body, false});
-  }
-  for (const auto& fixed : map.fixed) {
-    update.poses[place.at(fixed.pose.value)] = {fixed.pose, fixed.T_world_body, true};
-  }
-  // In order of arrival, as the ids were given.
-  std::vector<std::pair<FactorId, const typename CompactMap<Pose>::Edge*>> order;
-  std::unordered_map<std::int64_t, const Factor<Pose>*> prior;
-  for (const auto& edge : map.edges) order.emplace_back(edge.factor, &edge);
-  for (const auto& p : map.priors) {
-    order.emplace_back(p.factor, nullptr);
-    prior[p.factor.value] = &p.measured;
-  }
-  std::sort(order.begin(), order.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
-  for (const auto& [id, edge] : order) {
-    if (edge != nullptr && !edge->is_loop) update.odometry.push_back(update.factors.size());
-    update.factors.push_back(edge != nullptr ? Factor<Pose>(edge->measured) : *prior.at(id.value));
-  }
-  const StepReport report = slam.solver_->Update(update);
-  for (size_t k = 0; k < order.size(); ++k) {
-    const auto* edge = order[k].second;
-    if (edge == nullptr) continue;
-    slam.RestoreEdge(*edge, report.factor_ids[k]);
-    if (!edge->is_loop) {
-      slam.history_->SetOdometry(slam.history_->NewerOf(edge->measured.from, edge->measured.to), report.factor_ids[k]);
-      continue;
-    }
-    slam.links_.push_back({report.factor_ids[k], edge->added_at, edge->gain});
-  }
-  // Not from the solver's estimates: with its gate closed it has placed all poses one after the other, as new ones.
-  std::vector<Pose> T_world_body;
-  for (const auto& pose : map.poses) {
-    if (pose.kept) T_world_body.push_back(pose.T_world_body);
-  }
-  const BatchResult<Pose> result = slam.solver_->FinishFrom(T_world_body);
-  slam.UpdateCovariances();
-  RequireOptimum(result);
-  slam.gains_->Resume(static_cast<int>(slam.solver_->Graph().Poses().size()), slam.LinksKept());
-  return slam;
-}
-
-// What the factor of an edge is made of. A part that was a factor itself has the id of the edge from now on: no other
-// has it.
-template <class Pose>
-void CompactPoseSlam<Pose>::RestoreEdge(const typename CompactMap<Pose>::Edge& edge, FactorId factor) {
-  RememberEdge(edge.measured, factor, !edge.is_loop);
-  const auto ends = FusedEdges<Pose>::Ordered(edge.measured.from, edge.measured.to);
-  if (options_.strategy != Strategy::kBounded || edge.parts.empty()) return;
-  auto parts = edge.parts;
-  for (auto& part : parts) {
-    if (part.id.value >= 0) part.id = factor;
-    fused_->Reserve(part.id);
-  }
-  fused_->Set(ends, {factor, !edge.is_loop, std::move(parts)});
-}
-
-#define TERSE_INSTANTIATE(Pose)                                                                                        \
-  template std::string FindDefect<Pose>(const CompactMap<Pose>&);                                                      \
-  template CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery) const;                                             \
-  template CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>&, const CompactOptions<Pose>&); \
-  template void CompactPoseSlam<Pose>::RestoreEdge(const typename CompactMap<Pose>::Edge&, FactorId);
-TERSE_INSTANTIATE(SE2)
-TERSE_INSTANTIATE(SE3)
-#undef TERSE_INSTANTIATE
+template std::string FindDefect(const CompactMap<SE2>&);
+template std::string FindDefect(const CompactMap<SE3>&);
 
 }  // namespace terse

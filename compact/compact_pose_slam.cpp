@@ -1,108 +1,24 @@
 #include "terse/compact/compact_pose_slam.h"
 
-#include <Eigen/Cholesky>
-#include <algorithm>
-#include <cmath>
-#include <limits>
 #include <stdexcept>
 
+#include "bounded_step.h"
 #include "carry.h"
-#include "compact_pose_slam_parts.h"
-#include "fused_edges.h"
+#include "loop_closing.h"
+#include "map_exchange.h"
+#include "pose_recovery.h"
+#include "pose_step.h"
 #include "terse/compact/information.h"
-#include "terse/compact/innovation.h"
-#include "terse/core/chi_square.h"
-#include "terse/core/error.h"
+#include "terse/compact/state_members.h"
 #include "terse/core/log_message.h"
 
 namespace terse {
-namespace {
 
-using internal::Measurement;
-using internal::PoseHistory;
-using std::size_t;
-
-// A link that is supported finds its support among the last refused ones: they come from poses close behind each other,
-// of which each may have had several. Failures are remembered for the steps in which their neighbours come up.
-constexpr size_t kMostRefused = 64, kMostFailed = 256;
-
-template <class Item>
-void KeepNewest(size_t count, std::vector<Item>& items) {
-  if (items.size() > count) items.erase(items.begin(), items.end() - static_cast<long>(count));
-}
-
-template <class Pose>
-void CheckThresholds(const Thresholds<Pose>& thresholds) {
-  const auto& [range, probability, min_loop_gain, min_pose_gain, link_covariance] = thresholds;
-  if (!(range.array() > 0).all() || !range.allFinite()) {
-    throw std::invalid_argument("compact options: the sensor range must be positive and finite");
-  }
-  if (!(probability >= 0 && probability < 1))
-    throw std::invalid_argument("compact options: the probability must be in [0, 1)");
-  if (!(min_loop_gain >= 0) || !(min_pose_gain >= 0))
-    throw std::invalid_argument("compact options: gains must not be negative");
-  // Cholesky reads one triangle and lets NaN pass.
-  const bool symmetric = (link_covariance - link_covariance.transpose()).norm() <= 1e-9 * link_covariance.norm();
-  if (!symmetric || link_covariance.llt().info() != Eigen::Success) {
-    throw std::invalid_argument("compact options: the link covariance is not positive definite");
-  }
-}
-
-template <class Pose>
-void CheckOptions(const CompactOptions<Pose>& o) {
-  for (const std::optional<double>& share : {o.budget.keep_poses, o.budget.keep_links}) {
-    if (share && !(*share > 0 && *share <= 1))
-      throw std::invalid_argument("compact options: a budget is a share above 0 and at most 1");
-  }
-  CheckThresholds(o.thresholds);
-  if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
-    throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
-  if (!(o.plausible_quantile > 0 && o.plausible_quantile < 1))
-    throw std::invalid_argument("compact options: the quantile of plausible displacements must be in (0, 1)");
-  if (o.max_registrations < 1)
-    throw std::invalid_argument("compact options: at least one registration per pose is needed");
-  if (!(o.failed_neighbourhood >= 0))
-    throw std::invalid_argument("compact options: the neighbourhood of failed registrations must not be negative");
-  if (o.most_recorded < 0) throw std::invalid_argument("compact options: no less than 0 candidates can be recorded");
-  if (o.most_dropped && *o.most_dropped < 1)
-    throw std::invalid_argument("compact options: at least one dropped pose has to be remembered");
-  if (o.consensus < 2) throw std::invalid_argument("compact options: a consensus takes at least two links");
-  if (!(o.distance.view_axis.norm() > 0) || !o.distance.view_axis.allFinite()) {
-    throw std::invalid_argument("compact options: the view axis is zero or not finite");
-  }
-}
-
-template <class Pose>
-IncrementalOptions SolverOptions(const CompactOptions<Pose>& options) {
-  IncrementalOptions out = options.solver;
-  if (!out.log) out.log = options.log;
-  return out;
-}
-
-}  // namespace
+using internal::CurrentPose;
 
 template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
-    : solver_(std::make_unique<IncrementalSolver<Pose>>(SolverOptions(options))),
-      marginals_(std::make_unique<IncrementalMarginals<Pose>>(*solver_)),
-      gains_(std::make_unique<GainControl>()),
-      history_(std::make_unique<PoseHistory<Pose>>()),
-      fused_(std::make_unique<FusedEdges<Pose>>()),
-      reach_(std::make_unique<PoseIndex<Pose>>()) {
-  TakeOptions(options);
-}
-
-template <class Pose>
-void CompactPoseSlam<Pose>::TakeOptions(const CompactOptions<Pose>& options) {
-  CheckOptions(options);
-  options_ = options;
-  gains_->Start(options);
-  most_distance_ = ChiSquareQuantile(options.plausible_quantile, Displacement<Pose>::kSize);
-  most_innovation_ = options.innovation_quantile ? ChiSquareQuantile(*options.innovation_quantile, Pose::kDof)
-                                                 : std::numeric_limits<double>::infinity();
-  searches_ = options.strategy == Strategy::kApfl || options.strategy == Strategy::kFpfl ||
-              options.strategy == Strategy::kBounded;
-}
+    : parts_(std::make_unique<Parts>(options)) {}
 
 template <class Pose>
 CompactPoseSlam<Pose>::~CompactPoseSlam() = default;
@@ -110,175 +26,6 @@ template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(CompactPoseSlam&&) noexcept = default;
 template <class Pose>
 CompactPoseSlam<Pose>& CompactPoseSlam<Pose>::operator=(CompactPoseSlam&&) noexcept = default;
-
-template <class Pose>
-void CompactPoseSlam<Pose>::CheckPose(const CompactInput<Pose>& input) const {
-  const std::string name = "pose " + std::to_string(input.id.value);
-  if (history_->Has(input.id)) throw std::invalid_argument(name + " was added already");
-  if (history_->IsForgotten(input.id)) {
-    throw std::invalid_argument(name + " comes after pose " + std::to_string(history_->Newest().value) +
-                                ", but poses are forgotten, and so ids have to ascend");
-  }
-  if (input.odometry.has_value() == history_->IsEmpty()) {
-    throw std::invalid_argument(name + (history_->IsEmpty() ? " is the first and has odometry" : " has no odometry"));
-  }
-  if (input.T_world_body && !std::isfinite(input.T_world_body->Log().sum())) {
-    throw std::invalid_argument(name + " has a value that is not finite");
-  }
-  if (input.fixed && !input.T_world_body && !history_->IsEmpty())
-    throw std::invalid_argument(name + " is fixed but has no value");
-  for (const Factor<Pose>& prior : input.priors) {
-    const FactorPoses ends = PosesOf(prior);
-    if (ends.count != 1 || ends.first != input.id)
-      throw std::invalid_argument("a prior of " + name + " is no prior on it");
-    const std::string defect = FindDefect<Pose>(prior);
-    if (!defect.empty()) throw std::invalid_argument(defect);
-  }
-  if (input.loops) {
-    for (const RelativePoseFactor<Pose>& loop : *input.loops) {
-      const std::string defect = FindDefect<Pose>(loop);
-      if (!defect.empty()) throw std::invalid_argument(defect);
-      if (loop.from != input.id && loop.to != input.id)
-        throw std::invalid_argument("a loop of " + name + " does not touch it");
-      const PoseId other = loop.from == input.id ? loop.to : loop.from;
-      if (!history_->IsForgotten(other)) history_->Find(other);
-    }
-  }
-  if (!input.odometry) return;
-  const std::string defect = FindDefect<Pose>(*input.odometry);
-  if (!defect.empty()) throw std::invalid_argument(defect);
-  if (input.odometry->from != input.id && input.odometry->to != input.id)
-    throw std::invalid_argument("the odometry does not touch " + name);
-}
-
-template <class Pose>
-typename CompactPoseSlam<Pose>::Current CompactPoseSlam<Pose>::Start(const CompactInput<Pose>& input) const {
-  CheckPose(input);
-  Current current;
-  current.input = &input;
-  if (history_->IsEmpty()) {
-    current.base = input.id;
-    current.T_world_body = input.T_world_body.value_or(Pose());
-    return current;
-  }
-  const RelativePoseFactor<Pose>& edge = *input.odometry;
-  const auto& previous = history_->Find(edge.from == input.id ? edge.to : edge.from);
-  current.previous = current.parent = previous.id;
-  const UncertainPose<Pose> odometry = SeenFrom(previous.id, edge);
-  current.base = previous.base;
-  current.concatenated = !previous.kept;
-  current.T_base_current = previous.kept ? odometry : Compose(previous.T_base_pose, odometry, options_.composition);
-  current.chain = current.T_base_current;
-  current.T_world_body = solver_->Estimate(current.base) * current.T_base_current.T_a_b;
-  if (!IsFinite(current.T_world_body) || !current.chain.covariance.allFinite()) {
-    throw NumericalError("the odometry of pose " + std::to_string(input.id.value) + " leads beyond all numbers");
-  }
-  return current;
-}
-
-template <class Pose>
-void CompactPoseSlam<Pose>::SetLog(LogSink log) {
-  solver_->SetLog(log);
-  options_.log = std::move(log);
-}
-
-template <class Pose>
-void CompactPoseSlam<Pose>::LogVerdict(const Decision& decision) const {
-  if (!options_.log) return;
-  const bool by_gain = decision.verdict == PoseVerdict::kInformative || decision.verdict == PoseVerdict::kRedundant;
-  const LogLevel level =
-      decision.Kept() && decision.verdict != PoseVerdict::kAllKept ? LogLevel::kInfo : LogLevel::kDebug;
-  const std::string name = "pose " + std::to_string(decision.id.value) + (decision.Kept() ? " kept, " : " dropped, ");
-  if (by_gain && decision.pose_gain) {
-    internal::Log(options_.log, level, name, Name(decision.verdict), ": gain ", *decision.pose_gain,
-                  " nats (threshold ", gains_->MinPoseGain(), "), ", decision.candidates.size(), " candidates");
-  } else {
-    internal::Log(options_.log, level, name, Name(decision.verdict), ": ", decision.candidates.size(), " candidates, ",
-                  decision.registrations_tried, " tried, ", decision.links_accepted, " links, ", decision.links_refused,
-                  " refused");
-  }
-}
-
-template <class Pose>
-void CompactPoseSlam<Pose>::Judge(const Current& current, Decision& decision) const {
-  if (history_->IsEmpty()) {
-    decision.verdict = PoseVerdict::kFirst;
-  } else if (decision.links_accepted > 0) {
-    decision.verdict = PoseVerdict::kLoopClosed;
-  } else if (!current.input->priors.empty() || current.input->fixed) {
-    decision.verdict = PoseVerdict::kPrior;
-  } else if (options_.strategy == Strategy::kGiven) {
-    decision.verdict = current.input->keep ? PoseVerdict::kGiven : PoseVerdict::kRedundant;
-  } else if (current.is_anchored) {
-    decision.verdict = PoseVerdict::kAnchored;
-  } else if (options_.strategy != Strategy::kFpfl && options_.strategy != Strategy::kBounded) {
-    decision.verdict = PoseVerdict::kAllKept;
-  } else if (!decision.pose_gain) {
-    decision.verdict = PoseVerdict::kNothingInRange;
-  } else {
-    decision.verdict =
-        *decision.pose_gain > gains_->MinPoseGain() ? PoseVerdict::kInformative : PoseVerdict::kRedundant;
-  }
-}
-
-// Puts the pose into the solver if it is not there yet, with its odometry and priors, and adds the links. Their ids.
-template <class Pose>
-std::vector<FactorId> CompactPoseSlam<Pose>::Keep(Current& current, std::vector<Factor<Pose>> links,
-                                                  const Revival* revival) {
-  const CompactInput<Pose>& input = *current.input;
-  GraphUpdate<Pose> update;
-  if (revival != nullptr) AddRevival(*revival, update);
-  const size_t revived = update.factors.size();
-  if (!current.in_solver) {
-    const Pose start = input.fixed ? input.T_world_body.value_or(current.T_world_body) : current.T_world_body;
-    update.poses.push_back({input.id, start, input.fixed});
-    if (input.odometry && !current.concatenated) {
-      update.factors.push_back(*input.odometry);
-    } else if (input.odometry) {
-      update.factors.push_back(Measurement(current.base, input.id, current.T_base_current, options_.composition));
-    }
-    update.factors.insert(update.factors.end(), input.priors.begin(), input.priors.end());
-  }
-  const size_t others = update.factors.size();
-  update.factors.insert(update.factors.end(), links.begin(), links.end());
-  if (update.poses.empty() && update.factors.empty()) return {};
-  const StepReport report = solver_->Update(update);
-  Accumulate(report, current.update);
-  UpdateCovariances();
-  if (revival != nullptr) Revive(*revival, report.factor_ids);
-  if (!current.in_solver && input.odometry) {
-    current.odometry = report.factor_ids[revived];
-    RememberEdge(update.factors[revived], current.odometry, true);
-  }
-  std::vector<FactorId> ids(report.factor_ids.begin() + static_cast<long>(others), report.factor_ids.end());
-  for (size_t k = 0; k < ids.size(); ++k) {
-    links_.push_back({ids[k], input.id, std::nullopt});
-    RememberEdge(links[k], ids[k], false);
-  }
-  current.in_solver = true;
-  current.concatenated = false;
-  current.T_world_body = solver_->Estimate(input.id);
-  current.base = input.id;
-  current.T_base_current = {};
-  return ids;
-}
-
-template <class Pose>
-void CompactPoseSlam<Pose>::Remember(const Current& current) {
-  typename PoseHistory<Pose>::Seen seen;
-  seen.id = seen.base = current.input->id;
-  seen.kept = current.in_solver;
-  seen.anchored = current.is_anchored;
-  seen.odometry = current.odometry;
-  seen.T_world_body_when_seen = current.T_world_body;
-  if (!seen.kept) {
-    seen.base = current.base;
-    seen.T_base_pose = current.T_base_current;
-  }
-  history_->Append(seen, current.previous, current.parent);
-  if (seen.kept && current.parent) history_->EndChain(*current.parent, seen.id, current.chain);
-  if (seen.anchored) history_->EndChain(*current.previous, seen.base, current.T_ended_base, seen.id);
-}
 
 template <class Pose>
 Decision CompactPoseSlam<Pose>::AddPose(PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry,
@@ -291,88 +38,45 @@ Decision CompactPoseSlam<Pose>::AddPose(PoseId id, const std::optional<RelativeP
 
 template <class Pose>
 Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration) {
-  Current current = Start(input);
+  Parts& parts = *parts_;
+  const Strategy strategy = parts.options.strategy;
+  CurrentPose<Pose> current = internal::Arrive(input, parts);
   Decision decision;
   decision.id = input.id;
-  TakeOffers(current, decision);
+  decision.loops_forgotten = internal::TakeOffers(current, parts.history, parts.options);
   try {
-    if (history_->IsEmpty()) {
-      Keep(current, {});
-    } else if (options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl) {
-      Search(current, decision, registration);
-    } else if (options_.strategy == Strategy::kBounded) {
-      Bound(current, decision, registration);
-    } else if (options_.strategy == Strategy::kApal || input.keep) {
-      LinkAll(current, decision, registration);
+    if (parts.history.IsEmpty()) {
+      internal::Keep({}, current, parts);
+    } else if (strategy == Strategy::kApfl || strategy == Strategy::kFpfl) {
+      internal::LoopClosing<Pose>(current, decision, registration, parts).Search();
+    } else if (strategy == Strategy::kBounded) {
+      internal::BoundedStep<Pose>(current, decision, registration, parts).Run();
+    } else if (strategy == Strategy::kApal || input.keep) {
+      internal::LoopClosing<Pose>(current, decision, registration, parts).LinkAll();
     }
-    Judge(current, decision);
-    if (decision.Kept()) Keep(current, {});
+    decision.verdict = internal::Judge(current, decision, parts);
+    if (decision.Kept()) internal::Keep({}, current, parts);
     decision.update = std::move(current.update);
   } catch (...) {
     if (current.in_solver) {
-      Remember(current);
+      internal::Remember(current, parts.history);
     } else {
-      const auto is_new = [&](const auto& link) { return link.seen == input.id; };
-      refused_.erase(std::remove_if(refused_.begin(), refused_.end(), is_new), refused_.end());
-      failed_.erase(std::remove_if(failed_.begin(), failed_.end(), is_new), failed_.end());
+      parts.tests.ForgetNewest(input.id);
     }
     throw;
   }
-  Remember(current);
+  internal::Remember(current, parts.history);
   const int loops = input.loops ? static_cast<int>(input.loops->size()) : decision.registrations_tried;
-  gains_->Follow(options_, static_cast<int>(solver_->Graph().Poses().size()), LinksKept(), loops);
-  if (options_.most_dropped && history_->Forget(*options_.most_dropped)) {
-    const auto is_forgotten = [&](const auto& link) { return history_->IsForgotten(link.seen); };
-    refused_.erase(std::remove_if(refused_.begin(), refused_.end(), is_forgotten), refused_.end());
-    failed_.erase(std::remove_if(failed_.begin(), failed_.end(), is_forgotten), failed_.end());
-  }
-  KeepNewest(kMostRefused, refused_);
-  KeepNewest(kMostFailed, failed_);
-  LogVerdict(decision);
+  parts.gains.Follow(parts.options, parts.map.Poses(), parts.links.Size(), loops);
+  if (parts.options.most_dropped) parts.history.Forget(*parts.options.most_dropped);
+  parts.tests.DropOldest();
+  internal::LogVerdict(decision, parts);
   return decision;
 }
 
 template <class Pose>
-RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryToKept(const RelativePoseFactor<Pose>& link) const {
-  return internal::CarryToKept(link, *history_, options_.composition);
-}
-
-template <class Pose>
-RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryEndToKept(PoseId end, const RelativePoseFactor<Pose>& link) const {
-  return internal::CarryEndToKept(end, link, *history_, options_.composition);
-}
-
-template <class Pose>
-PoseId CompactPoseSlam<Pose>::KeptBase(PoseId id) const {
-  return history_->Find(id).base;
-}
-
-template <class Pose>
-bool CompactPoseSlam<Pose>::HasForgotten(PoseId id) const {
-  return history_->IsForgotten(id);
-}
-
-template <class Pose>
-bool CompactPoseSlam<Pose>::HasSeen(PoseId id) const {
-  return history_->Has(id);
-}
-
-template <class Pose>
-int CompactPoseSlam<Pose>::PosesSeen() const {
-  return static_cast<int>(history_->Size() + history_->Forgotten());
-}
-
-template <class Pose>
-FactorId CompactPoseSlam<Pose>::AddPrior(const Factor<Pose>& prior) {
-  GraphUpdate<Pose> update;
-  update.factors.push_back(internal::CarryPriorToKept(prior, *history_, *solver_, options_.composition));
-  const FactorId id = solver_->Update(update).factor_ids.front();
-  UpdateCovariances();
-  return id;
-}
-
-template <class Pose>
 LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link) {
+  Parts& parts = *parts_;
   const RelativePoseFactor<Pose> carried = CarryToKept(link);
   if (carried.from == carried.to) {
     throw std::invalid_argument("poses " + std::to_string(link.from.value) + " and " + std::to_string(link.to.value) +
@@ -383,41 +87,167 @@ LinkDecision CompactPoseSlam<Pose>::AddLink(const RelativePoseFactor<Pose>& link
   LinkDecision decision;
   decision.from = carried.from;
   decision.to = carried.to;
-  const UncertainPose<Pose> known = Between(carried.from, carried.to), measured = SeenFrom(carried.from, carried);
+  const UncertainPose<Pose> known = parts.map.Between(carried.from, carried.to),
+                            measured = SeenFrom(carried.from, carried);
   record.measured_gain = InformationGain<Pose::kDof>(known.covariance, measured.covariance);
-  decision.accepted = PassesTests(nullptr, known, measured, record);
-  LogLink(carried.from, carried.to, record, decision.accepted);
+  decision.accepted = internal::PassesTests<Pose>(nullptr, known, measured, record, parts);
+  internal::LogLink(carried.from, carried.to, record, decision.accepted, parts);
   decision.gain = *record.measured_gain;
   decision.innovation = record.innovation;
   decision.outlier = record.outlier;
-  if (decision.accepted && options_.strategy == Strategy::kBounded) {
-    std::vector<NewEdge> edges(1);
+  if (decision.accepted && parts.options.strategy == Strategy::kBounded) {
+    std::vector<internal::NewEdge<Pose>> edges(1);
     edges[0].a = carried.from;
     edges[0].b = carried.to;
     edges[0].T_a_b = measured;
     edges[0].gain = decision.gain;
     std::optional<StepReport> report;
-    Decision unused;
-    AddEdges(history_->Newest(), edges, unused, report);
+    internal::AddEdges(parts.history.Newest(), edges, parts, report);
     decision.factor = edges[0].id;
   } else if (decision.accepted) {
     GraphUpdate<Pose> update;
     update.factors.push_back(carried);
-    decision.factor = solver_->Update(update).factor_ids.front();
-    UpdateCovariances();
-    links_.push_back({*decision.factor, history_->Newest(), decision.gain});
+    decision.factor = parts.map.Update(update).factor_ids.front();
+    parts.links.AddLink(carried, {*decision.factor, parts.history.Newest(), decision.gain});
   }
   return decision;
 }
 
 template <class Pose>
-BatchResult<Pose> CompactPoseSlam<Pose>::Finish() {
-  BatchResult<Pose> result = solver_->Finish();
-  UpdateCovariances();
-  return result;
+void CompactPoseSlam<Pose>::RemoveLink(FactorId id) {
+  internal::RemoveLink(id, *parts_);
 }
 
-template class CompactPoseSlam<SE2>;
-template class CompactPoseSlam<SE3>;
+template <class Pose>
+FactorId CompactPoseSlam<Pose>::AddPrior(const Factor<Pose>& prior) {
+  Parts& parts = *parts_;
+  GraphUpdate<Pose> update;
+  update.factors.push_back(
+      internal::CarryPriorToKept(prior, parts.history, parts.map.Solver(), parts.options.composition));
+  return parts.map.Update(update).factor_ids.front();
+}
+
+template <class Pose>
+BatchResult<Pose> CompactPoseSlam<Pose>::Finish() {
+  return parts_->map.Finish();
+}
+
+template <class Pose>
+RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryToKept(const RelativePoseFactor<Pose>& link) const {
+  return internal::CarryToKept(link, parts_->history, parts_->options.composition);
+}
+
+template <class Pose>
+RelativePoseFactor<Pose> CompactPoseSlam<Pose>::CarryEndToKept(PoseId end, const RelativePoseFactor<Pose>& link) const {
+  return internal::CarryEndToKept(end, link, parts_->history, parts_->options.composition);
+}
+
+template <class Pose>
+PoseId CompactPoseSlam<Pose>::KeptBase(PoseId id) const {
+  return parts_->history.Find(id).base;
+}
+
+template <class Pose>
+bool CompactPoseSlam<Pose>::HasSeen(PoseId id) const {
+  return parts_->history.Has(id);
+}
+
+template <class Pose>
+bool CompactPoseSlam<Pose>::HasForgotten(PoseId id) const {
+  return parts_->history.IsForgotten(id);
+}
+
+template <class Pose>
+int CompactPoseSlam<Pose>::PosesSeen() const {
+  return static_cast<int>(parts_->history.Size() + parts_->history.Forgotten());
+}
+
+template <class Pose>
+int CompactPoseSlam<Pose>::LinksKept() const {
+  return parts_->links.Size();
+}
+
+template <class Pose>
+const IncrementalSolver<Pose>& CompactPoseSlam<Pose>::Solver() const {
+  return parts_->map.Solver();
+}
+
+template <class Pose>
+const CompactOptions<Pose>& CompactPoseSlam<Pose>::Options() const {
+  return parts_->options;
+}
+
+template <class Pose>
+std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery recovery) const {
+  return internal::PoseRecovery<Pose>(parts_->history, parts_->map).Trajectory(recovery);
+}
+
+template <class Pose>
+Pose CompactPoseSlam<Pose>::Estimate(PoseId id) const {
+  return Estimate(id, Recovery::kV1);
+}
+
+template <class Pose>
+Pose CompactPoseSlam<Pose>::Estimate(PoseId id, Recovery recovery) const {
+  return internal::PoseRecovery<Pose>(parts_->history, parts_->map).Estimate(id, recovery);
+}
+
+template <class Pose>
+typename Pose::Jacobian CompactPoseSlam<Pose>::Covariance(PoseId id, const CovarianceConvention& convention) const {
+  return internal::PoseRecovery<Pose>(parts_->history, parts_->map).Covariance(id, convention);
+}
+
+template <class Pose>
+typename Pose::Jacobian CompactPoseSlam<Pose>::RelativeCovariance(PoseId a, PoseId b,
+                                                                  const CovarianceConvention& convention) const {
+  return internal::PoseRecovery<Pose>(parts_->history, parts_->map).RelativeCovariance(a, b, convention);
+}
+
+template <class Pose>
+CompactMap<Pose> CompactPoseSlam<Pose>::Export(Recovery recovery) const {
+  return internal::ExportMap(*parts_, recovery);
+}
+
+template <class Pose>
+CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map, const CompactOptions<Pose>& options) {
+  CompactPoseSlam slam(options);
+  internal::RestoreMap(map, *slam.parts_);
+  return slam;
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::SetLog(LogSink log) {
+  parts_->map.SetLog(log);
+  parts_->options.log = std::move(log);
+}
+
+template <class Pose>
+template <class Archive>
+void CompactPoseSlam<Pose>::Serialize(Archive& archive) {
+  auto& [parts] = *this;
+  archive(*parts);
+}
+
+template <class Pose>
+void CompactPoseSlam<Pose>::Save(const std::string& path) const {
+  SaveState(path, StateKind<Pose>("compact pose SLAM"), *this);
+}
+
+template <class Pose>
+CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Load(const std::string& path, LogSink log) {
+  CompactPoseSlam slam = LoadState<CompactPoseSlam>(path, StateKind<Pose>("compact pose SLAM"));
+  slam.SetLog(std::move(log));
+  internal::Log(slam.Options().log, LogLevel::kInfo, "restored from ", path, ": ", slam.PosesSeen(), " poses seen, ",
+                slam.parts_->map.Poses(), " kept, ", slam.LinksKept(), " links");
+  return slam;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                 \
+  template class CompactPoseSlam<Pose>;                         \
+  template void CompactPoseSlam<Pose>::Serialize(StateWriter&); \
+  template void CompactPoseSlam<Pose>::Serialize(StateReader&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
 
 }  // namespace terse

@@ -34,6 +34,7 @@ void GainControl::Start(const CompactOptions<Pose>& options) {
 
 template <class Pose>
 void GainControl::Follow(const CompactOptions<Pose>& options, int poses_kept, int links_kept, int new_loops) {
+  if (options.strategy != Strategy::kFpfl && options.strategy != Strategy::kBounded) return;
   const auto& [keep_poses, keep_links] = options.budget;
   // In floating point: a damaged state holds any number.
   const double new_poses = 1.0 * poses_kept - poses_kept_, new_links = 1.0 * links_kept - links_kept_;

@@ -78,8 +78,8 @@ void PoseHistory<Pose>::LoseEnd(int place) {
 }
 
 template <class Pose>
-bool PoseHistory<Pose>::Forget(int most_dropped) {
-  if (!ascends_ || Size() - size_when_swept_ <= std::max(most_dropped, size_when_swept_ / 2)) return false;
+void PoseHistory<Pose>::Forget(int most_dropped) {
+  if (!ascends_ || Size() - size_when_swept_ <= std::max(most_dropped, size_when_swept_ / 2)) return;
   std::vector<bool> stays(seen_.size(), false);
   int dropped = 0;
   for (int at = Size() - 1; at >= 0; --at) {
@@ -93,10 +93,8 @@ bool PoseHistory<Pose>::Forget(int most_dropped) {
     const int by = (*this)[at].ended_by;
     if (stays[At(at)] && by >= 0 && !(stays[At(by)] && stays[At((*this)[by].previous)])) LoseEnd(at);
   }
-  const long before = forgotten_;
   Erase(stays);
   size_when_swept_ = Size();
-  return forgotten_ > before;
 }
 
 template <class Pose>

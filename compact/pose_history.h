@@ -75,9 +75,8 @@ class PoseHistory {
   // `next` from now on; `by`: with a link of that pose, which is anchored.
   void EndChain(PoseId last, PoseId next, const UncertainPose<Pose>& T_base_next, std::optional<PoseId> by = {});
   void SetOdometry(PoseId kept, FactorId factor) { Mutable(kept).odometry = factor; }
-  // Forgets dropped poses, if there are many more than these newest and ids have ascended; whether there were any.
-  // Amortised O(1) a pose.
-  bool Forget(int most_dropped);
+  // Forgets dropped poses, if there are many more than these newest and ids have ascended. Amortised O(1) a pose.
+  void Forget(int most_dropped);
   // The pose is kept, with this factor as its odometry. Those of its chain hang on the nearer of its parts.
   void Revive(const Revival<Pose>& revival, FactorId odometry);
 

@@ -63,6 +63,18 @@ TEST(CompactBudgetTest, KeepsNoMoreThanTheShareOfLinks) {
   }
 }
 
+TEST(CompactBudgetTest, LeavesTheThresholdsOfOtherStrategies) {
+  const PoseGraph<SE2> graph = City(4);
+  const GraphReplay<SE2> replay(graph);
+  CompactOptions<SE2> options = Settings(replay, Strategy::kApfl);
+  const CompactRun<SE2> without = RunCompact(CompactPoseSlam<SE2>(options), replay);
+  options.budget = {0.1, 0.01};
+  const CompactRun<SE2> with = RunCompact(CompactPoseSlam<SE2>(options), replay);
+  ASSERT_GT(without.LinksKept(), 0.01 * replay.LinksOffered());  // thresholds that follow would keep fewer
+  EXPECT_EQ(with.LinksKept(), without.LinksKept());
+  EXPECT_EQ(with.result.chi2, without.result.chi2);
+}
+
 TEST(CompactBudgetTest, ContinuesBitByBit) {
   const PoseGraph<SE2> graph = City(5);
   const GraphReplay<SE2> replay(graph);

@@ -62,8 +62,12 @@ def runs(graphs, others):
                                               "t"], None
             yield f"steps_{kernel}_{scene}", steps + ["--robust", kernel], None
             yield f"compact_{kernel}_{scene}", ["compact", graph, "--robust", kernel, "--output", "."], None
-        for strategy in ("apal", "apfl", "fpfl", "rfpfl"):
+        for strategy in ("apal", "apfl", "fpfl", "rfpfl", "bounded"):
             yield f"compact_{strategy}_{scene}", ["compact", graph, "--strategy", strategy, "--output", "."], None
+        for name, options in (("bounded_gnc", ["--strategy", "bounded", "--robust", "gnc"]),
+                              ("bounded_budget", ["--strategy", "bounded", "--keep-poses", "0.1", "--keep-links", "0.3"]),
+                              ("fpfl_budget", ["--keep-poses", "0.2", "--keep-links", "0.2"])):
+            yield f"compact_{name}_{scene}", ["compact", graph, *options, "-vv", "--output", "."], None
         for recover in ("v0", "v1"):
             yield f"recover_{recover}_{scene}", ["compact", graph, "--recover", recover, "--composition", "fourth",
                                                  "--record", "decisions", "--output", "."], None
@@ -83,6 +87,8 @@ def after(folder, scenes):
                                   "j.journal", "--output", ".", "--covariances"], graph
         yield f"continue_{scene}", ["compact", f"{folder}/graphs/{scene}_more.g2o", "--continue",
                                     f"{folder}/compact_fpfl_{scene}", "--output", "."], None
+        yield f"continue_bounded_{scene}", ["compact", f"{folder}/graphs/{scene}_more.g2o", "--continue",
+                                            f"{folder}/compact_bounded_{scene}", "--output", "."], None
         pair = [f"{folder}/compact_fpfl_{scene}", f"{folder}/compact_apal_{scene}"]
         yield f"plot_{scene}", ["plot", *pair, "--what", "trajectory", "gains", "--output", "."], None
         yield f"report_{scene}", ["report", *pair, "--output", "report.html"], None

@@ -1,15 +1,15 @@
 #pragma once
-// Compact pose SLAM: keeps the poses and links that carry information (Ila et al. 2017,
-// section 4, Algorithm 1; equation numbers are theirs, see docs/algorithms.md).
+// Compact pose SLAM: keeps the poses and links that carry information (Ila et al. 2017, section 4, Algorithm 1;
+// equation numbers are theirs, see docs/algorithms.md).
 //
 // For every new pose n:
 //  1. its odometry is concatenated over the poses dropped since the last kept one;
 //  2. kept poses that may be within sensor range of n, given what is known of the displacement, are candidates
 //     (distance.h);
 //  3. they are ranked by the information that registering them promises (information.h, Ila et al. 2017 Eq. 18) and
-//  registered, best
-//     first, up to max_registrations; a link whose measured gain exceeds min_loop_gain is added, and the rest is
-//     evaluated again. Loops that came with n take the place of 2 and of the registration, and compete by their gain;
+//     registered, best first, up to max_registrations; a link whose measured gain exceeds min_loop_gain is added, and
+//     the rest is evaluated again. Loops that came with n take the place of 2 and of the registration, and compete by
+//     their gain;
 //  4. n is kept if a loop closed, if nothing is in range, or if even the least informative possible link, the last kept
 //     pose among them, would add more than min_pose_gain; otherwise it is dropped and only its chain is remembered.
 //
@@ -20,6 +20,10 @@
 // cost more of what the loop tells than min_loop_gain the dropped pose comes back instead: the odometry that was
 // concatenated over it is split at it (Decision::revived).
 //
+// With Strategy::kBounded a pose that links find in known terrain is not kept: its chain starts anew at a kept pose,
+// and its other links become measurements between kept poses, so the map grows with the area and not with time
+// (docs/algorithms.md).
+//
 // A link must first pass the innovation test (innovation.h): a wrong link has high information. One with which the map
 // would have no solution is refused too.
 //
@@ -27,55 +31,24 @@
 // throws, or a defective link that it returns throws, passes through; links accepted before it, and the pose with
 // them, stay (none with kApal, which adds all links at once). Not thread-safe.
 
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
-#include <unordered_map>
 #include <vector>
 
 #include "terse/compact/compact_map.h"
 #include "terse/compact/compact_options.h"
 #include "terse/compact/decision.h"
-#include "terse/compact/uncertain_pose.h"
+#include "terse/compact/recovery.h"
 #include "terse/core/incremental_solver.h"
 #include "terse/covariance/incremental_marginals.h"
 
 namespace terse {
 
-template <class Pose>
-class PoseIndex;
-template <class Pose>
-class FusedEdges;
-class GainControl;
 namespace internal {
 template <class Pose>
-class PoseHistory;
-template <class Pose>
-struct Revival;
-}  // namespace internal
-
-// How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Ila et al. 2017 Eq. 24): chained to the
-// kept pose before them. kV2 (Ila et al. 2017 Eqs. 25-26): that chain's misfit at the next kept pose spread over it by
-// its covariance; behind the last kept pose as kV1, but where odometry went on from a dropped pose whose own chain has
-// ended, from that one as recovered.
-enum class Recovery { kV0, kV1, kV2 };
-
-template <class Pose>
-struct RecoveredPose {
-  PoseId id;
-  bool kept = true;
-  Pose T_world_body;
-};
-
-// Of a link between poses seen before (CompactPoseSlam::AddLink).
-struct LinkDecision {
-  PoseId from, to;                   // the kept poses that it was carried to
-  double gain = 0;                   // nats, with the measured covariance
-  std::optional<double> innovation;  // squared Mahalanobis distance; absent if it was not tested
-  bool outlier = false, accepted = false;
-  std::optional<FactorId> factor;  // if accepted
-};
+struct CompactParts;
+}
 
 template <class Pose>
 class CompactPoseSlam {
@@ -119,8 +92,8 @@ class CompactPoseSlam {
   bool HasForgotten(PoseId id) const;
 
   // The kept poses and links.
-  const IncrementalSolver<Pose>& Solver() const { return *solver_; }
-  const CompactOptions<Pose>& Options() const { return options_; }
+  const IncrementalSolver<Pose>& Solver() const;
+  const CompactOptions<Pose>& Options() const;
   // Iterates the kept graph to its optimum.
   BatchResult<Pose> Finish();
   // All poses that are remembered, in order of arrival.
@@ -149,132 +122,15 @@ class CompactPoseSlam {
   static CompactPoseSlam Restore(const CompactMap<Pose>& map, const CompactOptions<Pose>& options);
 
   int PosesSeen() const;  // forgotten ones too
-  int LinksKept() const { return static_cast<int>(links_.size()); }
+  int LinksKept() const;
 
  private:
-  using Jacobian = typename Pose::Jacobian;
-  struct Link {
-    FactorId factor;
-    PoseId added_at;             // the last pose seen then
-    std::optional<double> gain;  // nats, measured
-  };
-  // A link that the innovation test refused.
-  struct Refused {
-    PoseId candidate, seen;
-    UncertainPose<Pose> T_candidate_seen;
-  };
-  // A registration that failed.
-  struct Failed {
-    PoseId candidate, seen;
-  };
-  using Revival = internal::Revival<Pose>;
-  struct Offer;      // a loop that came with the pose at hand
-  struct Ask;        // a pose that may be linked
-  struct Evaluated;  // one with what is known of it
-  struct Current;    // the pose at hand
-  struct Sighting;   // a loop of the pose at hand that agrees with the map
-  struct NewEdge;    // composed of measurements, between kept poses
-  struct ChangedEdges;
-
-  // compact_pose_slam.cpp
-  void TakeOptions(const CompactOptions<Pose>& options);
-  Current Start(const CompactInput<Pose>& input) const;
-  void CheckPose(const CompactInput<Pose>& input) const;
-  void LogVerdict(const Decision& decision) const;
-  void Judge(const Current& current, Decision& decision) const;
-  std::vector<FactorId> Keep(Current& current, std::vector<Factor<Pose>> links, const Revival* revival = nullptr);
-  void Remember(const Current& current);
-  // compact_loops.cpp
-  void TakeOffers(Current& current, Decision& decision) const;
-  void Spend(const Offer& offer);
-  bool TakeOffer(const Current& current, const RelativePoseFactor<Pose>& loop, Offer& offer) const;
-  void Search(Current& current, Decision& decision, const Registration<Pose>& registration);
-  void CloseLoops(Current& current, std::vector<Evaluated> candidates, Decision& decision,
-                  const Registration<Pose>& registration);
-  void LinkAll(Current& current, Decision& decision, const Registration<Pose>& registration);
-  bool IsBelieved(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
-                  Candidate& record);
-  bool PassesTests(const Current* current, const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured,
-                   Candidate& record);
-  bool Accept(Current& current, Evaluated& candidate, const RelativePoseFactor<Pose>& link, Decision& decision);
-  bool AcceptOnChain(Current& current, const Offer& offer, Candidate& record, Decision& decision);
-  bool IsCostlyToCarry(const Offer& offer, const UncertainPose<Pose>& known) const;
-  std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
-                                                   PoseId current) const;
-  void LogLink(PoseId a, PoseId b, const Candidate& record, bool good) const;
-  std::vector<Failed> FailedNear(const Current& current) const;
-  bool IsNearFailed(const std::vector<Failed>& failed, PoseId candidate) const;
-  bool AreNeighbours(const Pose& T_world_a, const Pose& T_world_b) const;
-  // compact_bounded.cpp
-  void Bound(Current& current, Decision& decision, const Registration<Pose>& registration);
-  double MapGain(const Current& current, const UncertainPose<Pose>& known, const Jacobian& Sigma_link) const;
-  void ThinOffers(Current& current) const;
-  void Sight(const Current& current, int offer, Decision& decision, std::vector<Evaluated>& candidates,
-             std::vector<Sighting>& sightings);
-  void RegisterSightings(Current& current, Decision& decision, const Registration<Pose>& registration,
-                         std::vector<Evaluated>& candidates, std::vector<Sighting>& sightings);
-  void Anchor(Current& current, Decision& decision, std::vector<Evaluated>& candidates,
-              std::vector<Sighting> sightings);
-  std::vector<NewEdge> ComposeEdges(const Current& current, std::vector<Sighting> sightings) const;
-  // compact_edges.cpp
-  double LeastEdgeGain(PoseId a, PoseId b) const;
-  void RememberEdge(const Factor<Pose>& factor, FactorId id, bool is_odometry);
-  typename std::vector<Link>::iterator FindLink(FactorId id);
-  typename CompactMap<Pose>::Part FirstPart(PoseId from, PoseId to, FactorId factor);
-  void AddEdges(PoseId added_at, std::vector<NewEdge>& edges, Decision& decision, std::optional<StepReport>& report);
-  void ReplaceEdges(PoseId added_at, ChangedEdges& changed, std::optional<StepReport>& report);
-  // compact_revival.cpp
-  std::optional<Revival> PlanRevival(PoseId dropped) const;
-  Revival PlanRevivalOnChain(PoseId dropped, const Current& current) const;
-  void AddRevival(const Revival& revival, GraphUpdate<Pose>& update) const;
-  void ReviveEdges(const Revival& revival, const std::vector<FactorId>& ids);
-  void Revive(const Revival& revival, const std::vector<FactorId>& ids);
-  // compact_search.cpp
-  void UpdateCovariances();
-  void UpdateSearch(int base);
-  UncertainPose<Pose> KnownDisplacement(int pose, int base) const;
-  UncertainPose<Pose> DisplacementAt(int pose, int base, const Jacobian& cross) const;
-  double OfferGain(const Current& current, const Offer& offer, const UncertainPose<Pose>& known,
-                   const Jacobian& Sigma_link) const;
-  std::vector<Ask> InReach(const Current& current, bool plausible);
-  std::vector<Evaluated> Evaluate(const Current& current, const std::vector<Ask>& asks, bool plausible) const;
-  // compact_recovery.cpp
-  struct Bridge;
-  struct Error;
-  Bridge BridgeOf(PoseId dropped, int ended) const;
-  Pose Recover(PoseId dropped, int ended) const;
-  Error ErrorOf(PoseId id) const;
-  typename Pose::Jacobian CovarianceOf(const Error& error) const;
-  typename Pose::Jacobian ChainCovariance(const Error& error) const;
-  // compact_map.cpp
-  void RestoreEdge(const typename CompactMap<Pose>::Edge& edge, FactorId factor);
-  // compact_outliers.cpp
-  UncertainPose<Pose> Between(PoseId a, PoseId b) const;
-  UncertainPose<Pose> FromSeen(PoseId id, const Current& current) const;
-  bool IsSupported(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured) const;
-  void RememberRefused(const Current& current, PoseId candidate, const UncertainPose<Pose>& measured);
-  // compact_state.cpp
+  using Parts = internal::CompactParts<Pose>;
   friend struct internal::StateAccess;
   template <class Archive>
   void Serialize(Archive& archive);
 
-  CompactOptions<Pose> options_;
-  double most_innovation_ = 0;  // infinite without the test
-  double most_distance_ = 0;    // squared, of the range from the mean of a plausible displacement
-  std::unique_ptr<IncrementalSolver<Pose>> solver_;
-  std::unique_ptr<IncrementalMarginals<Pose>> marginals_;
-  std::unique_ptr<GainControl> gains_;  // the thresholds in force
-  std::unique_ptr<internal::PoseHistory<Pose>> history_;
-  std::vector<Link> links_;                  // ascending factors
-  std::unique_ptr<FusedEdges<Pose>> fused_;  // kBounded: what joins kept poses
-  std::vector<Refused> refused_;             // the last ones
-  std::vector<Failed> failed_;               // likewise
-  bool searches_ = false;                    // covariances are kept with every change
-  // Of all kept poses, as seen from them: the kept pose that the search was last made ready for, with covariances.
-  std::vector<UncertainPose<Pose>> T_pose_base_;
-  std::unique_ptr<PoseIndex<Pose>> reach_;
-  std::uint64_t searched_version_ = 0;  // of the factor
-  int searched_base_ = -1;
+  std::unique_ptr<Parts> parts_;  // nullptr only of what was moved from
 };
 
 extern template class CompactPoseSlam<SE2>;

@@ -74,4 +74,13 @@ struct Decision {
   bool Kept() const { return verdict != PoseVerdict::kRedundant && verdict != PoseVerdict::kAnchored; }
 };
 
+// Of a link between poses seen before (CompactPoseSlam::AddLink).
+struct LinkDecision {
+  PoseId from, to;                   // the kept poses that it was carried to
+  double gain = 0;                   // nats, with the measured covariance
+  std::optional<double> innovation;  // squared Mahalanobis distance; absent if it was not tested
+  bool outlier = false, accepted = false;
+  std::optional<FactorId> factor;  // if accepted
+};
+
 }  // namespace terse

@@ -1,26 +1,14 @@
-// Where dropped poses are in the present map, and how well that is known (Ila et al. 2017 Eqs. 24-26, and beyond them
-// their covariance).
-//
-// With T_base_pose = Exp(l) M, M the composed odometry, the error l of a chain grows by independent steps from pose to
-// pose, l_k = l_{k-1} + a step: Cov(l_j, l_k) = P of the last pose that both chains lead through, P = Ad(M) C Ad(M)'
-// the covariance gathered up to there. A kept pose n at the end of the chain gives l_n = e away, e the misfit in
-// T_base_n = Exp(e) M_n. Then
-//   l_k = K e + c,   K = P_k P_n^-1,   c = l_k - K l_n independent of e:
-// K e is kV2, and the pose's error is that of its base and of n, and c. The odometry of the chain is a factor of the
-// map already, so what is known of base and n is all that is known of e.
+#include "pose_recovery.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <stdexcept>
 
-#include "compact_pose_slam_parts.h"
 #include "terse/core/at.h"
 
-namespace terse {
+namespace terse::internal {
 namespace {
-
-using internal::At;
 
 // P.
 template <class Pose>
@@ -51,8 +39,7 @@ Jacobian Gathered(const Jacobian& P, const Jacobian& P_older) {
 // over chains from their base to the place `at`: a dropped pose, or the kept one where its chain ends; behind all
 // places (PoseHistory::EndedByLink) chains as links have ended them.
 template <class Pose>
-struct CompactPoseSlam<Pose>::Error {
-  using Jacobian = typename Pose::Jacobian;
+struct PoseRecovery<Pose>::Error {
   struct Chain {
     int at;
     Jacobian C, P;
@@ -78,19 +65,19 @@ struct CompactPoseSlam<Pose>::Error {
 
 // How a chain of dropped poses lies between the kept poses that it joins; e and K are zero if it has not ended.
 template <class Pose>
-struct CompactPoseSlam<Pose>::Bridge {
+struct PoseRecovery<Pose>::Bridge {
   Pose T_world_base, T_base_next;
   typename Pose::Tangent e = Pose::Tangent::Zero();
   typename Pose::Jacobian K = Pose::Jacobian::Zero(), P_next = Pose::Jacobian::Zero();
 };
 
 template <class Pose>
-typename CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(PoseId dropped, int ended) const {
+typename PoseRecovery<Pose>::Bridge PoseRecovery<Pose>::BridgeOf(PoseId dropped, int ended) const {
   Bridge bridge;
-  bridge.T_world_base = solver_->Estimate(history_->Find(dropped).base);
+  bridge.T_world_base = map_.Solver().Estimate(history_.Find(dropped).base);
   if (ended < 0) return bridge;
-  const auto& shared = (*history_)[ended];
-  bridge.T_base_next = bridge.T_world_base.Inverse() * solver_->Estimate(*shared.next_kept);
+  const auto& shared = history_[ended];
+  bridge.T_base_next = bridge.T_world_base.Inverse() * map_.Solver().Estimate(*shared.next_kept);
   bridge.e = (bridge.T_base_next * shared.T_base_next.T_a_b.Inverse()).Log();
   bridge.P_next = AtBase(shared.T_base_next);
   bridge.K = Share(AtBase(shared.T_base_pose), bridge.P_next);
@@ -99,30 +86,25 @@ typename CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(PoseId dr
 
 // A dropped pose as kV2.
 template <class Pose>
-Pose CompactPoseSlam<Pose>::Recover(PoseId dropped, int ended) const {
+Pose PoseRecovery<Pose>::Recover(PoseId dropped, int ended) const {
   const Bridge bridge = BridgeOf(dropped, ended);
-  return bridge.T_world_base * Pose::Exp(bridge.K * bridge.e) * history_->Find(dropped).T_base_pose.T_a_b;
+  return bridge.T_world_base * Pose::Exp(bridge.K * bridge.e) * history_.Find(dropped).T_base_pose.T_a_b;
 }
 
 template <class Pose>
-Pose CompactPoseSlam<Pose>::Estimate(PoseId id) const {
-  return Estimate(id, Recovery::kV1);
-}
-
-template <class Pose>
-Pose CompactPoseSlam<Pose>::Estimate(PoseId id, Recovery recovery) const {
-  const auto& seen = history_->Find(id);
-  if (seen.kept) return solver_->Estimate(id);
+Pose PoseRecovery<Pose>::Estimate(PoseId id, Recovery recovery) const {
+  const auto& seen = history_.Find(id);
+  if (seen.kept) return map_.Solver().Estimate(id);
   if (recovery == Recovery::kV0) return seen.T_world_body_when_seen;
-  return Recover(id, recovery == Recovery::kV2 ? history_->EndedBefore(id) : -1);
+  return Recover(id, recovery == Recovery::kV2 ? history_.EndedBefore(id) : -1);
 }
 
 template <class Pose>
-std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery recovery) const {
+std::vector<RecoveredPose<Pose>> PoseRecovery<Pose>::Trajectory(Recovery recovery) const {
   std::vector<RecoveredPose<Pose>> out;
-  std::vector<int> ended(At(history_->Size()), -1);  // EndedBefore, without walking every chain anew
-  for (int k = 0; k < history_->Size(); ++k) {
-    const auto& seen = (*history_)[k];
+  std::vector<int> ended(At(history_.Size()), -1);  // EndedBefore, without walking every chain anew
+  for (int k = 0; k < history_.Size(); ++k) {
+    const auto& seen = history_[k];
     if (!seen.kept && recovery == Recovery::kV2) {
       ended[At(k)] = seen.next_kept ? k : ended[At(seen.parent)];
       out.push_back({seen.id, false, Recover(seen.id, ended[At(k)])});
@@ -134,17 +116,16 @@ std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery reco
 }
 
 template <class Pose>
-typename CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId id) const {
-  using Jacobian = typename Pose::Jacobian;
+typename PoseRecovery<Pose>::Error PoseRecovery<Pose>::ErrorOf(PoseId id) const {
   const Jacobian I = Jacobian::Identity();
-  const auto& seen = history_->Find(id);
+  const auto& seen = history_.Find(id);
   Error error;
   if (seen.kept) {
-    error.T_world_body = solver_->Estimate(id);
+    error.T_world_body = map_.Solver().Estimate(id);
     error.AddKept(id, I);
     return error;
   }
-  const int at = history_->IndexOf(id), ended = history_->EndedBefore(id);
+  const int at = history_.IndexOf(id), ended = history_.EndedBefore(id);
   const Bridge bridge = BridgeOf(id, ended);
   const typename Pose::Tangent shared = bridge.K * bridge.e;
   const Pose T_base_pose = Pose::Exp(shared) * seen.T_base_pose.T_a_b;
@@ -155,10 +136,10 @@ typename CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId id) 
   error.AddKept(seen.base, A * (I - G));
   error.AddChain({at, A * J, AtBase(seen.T_base_pose)});
   if (ended >= 0) {
-    const PoseId next = *(*history_)[ended].next_kept;
-    const int by = (*history_)[ended].ended_by;
+    const PoseId next = *history_[ended].next_kept;
+    const int by = history_[ended].ended_by;
     error.AddKept(next, A * G * bridge.T_base_next.Adjoint());
-    error.AddChain({by < 0 ? history_->IndexOf(next) : history_->EndedByLink(by), -A * J * bridge.K, bridge.P_next});
+    error.AddChain({by < 0 ? history_.IndexOf(next) : history_.EndedByLink(by), -A * J * bridge.K, bridge.P_next});
   }
   return error;
 }
@@ -167,8 +148,7 @@ typename CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId id) 
 // one pose meet there: behind it they are one error with the sum of their C. Each stretch walked adds what the chain
 // gathered on it, a difference of two P. No large parts cancel.
 template <class Pose>
-typename Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error& error) const {
-  using Jacobian = typename Pose::Jacobian;
+typename Pose::Jacobian PoseRecovery<Pose>::ChainCovariance(const Error& error) const {
   using Chain = typename Error::Chain;  // P: at the newer end of the stretch
   Jacobian sum = Jacobian::Zero();
   const auto add = [&](const Chain& chain, const Jacobian& P_older_end) {
@@ -178,8 +158,8 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error& erro
   while (!chains.empty()) {
     const auto newest =
         std::max_element(chains.begin(), chains.end(), [](const Chain& a, const Chain& b) { return a.at < b.at; });
-    const int previous = history_->ParentOnChain(newest->at);
-    if (previous < 0 || (*history_)[previous].kept) {
+    const int previous = history_.ParentOnChain(newest->at);
+    if (previous < 0 || history_[previous].kept) {
       add(*newest, Jacobian::Zero());
       chains.erase(newest);
       continue;
@@ -187,7 +167,7 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error& erro
     const auto met = std::find_if(chains.begin(), chains.end(), [&](const Chain& c) { return c.at == previous; });
     newest->at = previous;
     if (met == chains.end()) continue;
-    const Jacobian P = AtBase((*history_)[previous].T_base_pose);
+    const Jacobian P = AtBase(history_[previous].T_base_pose);
     add(*newest, P);
     add(*met, P);
     met->C += newest->C;
@@ -198,20 +178,20 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error& erro
 }
 
 template <class Pose>
-typename Pose::Jacobian CompactPoseSlam<Pose>::CovarianceOf(const Error& error) const {
-  const typename Pose::Jacobian sum = marginals_->Combination(error.kept) + ChainCovariance(error);
+typename Pose::Jacobian PoseRecovery<Pose>::CovarianceOf(const Error& error) const {
+  const typename Pose::Jacobian sum = map_.Marginals().Combination(error.kept) + ChainCovariance(error);
   return (sum + sum.transpose()) / 2;
 }
 
 template <class Pose>
-typename Pose::Jacobian CompactPoseSlam<Pose>::Covariance(PoseId id, const CovarianceConvention& convention) const {
+typename Pose::Jacobian PoseRecovery<Pose>::Covariance(PoseId id, const CovarianceConvention& convention) const {
   const Error error = ErrorOf(id);
   return ConvertCovariance<Pose>(CovarianceOf(error), error.T_world_body, convention);
 }
 
 template <class Pose>
-typename Pose::Jacobian CompactPoseSlam<Pose>::RelativeCovariance(PoseId a, PoseId b,
-                                                                  const CovarianceConvention& convention) const {
+typename Pose::Jacobian PoseRecovery<Pose>::RelativeCovariance(PoseId a, PoseId b,
+                                                               const CovarianceConvention& convention) const {
   const Error of_a = ErrorOf(a);
   Error error = ErrorOf(b);
   if (a == b) throw std::invalid_argument("a relative pose needs two distinct poses");
@@ -221,19 +201,7 @@ typename Pose::Jacobian CompactPoseSlam<Pose>::RelativeCovariance(PoseId a, Pose
   return ConvertCovariance<Pose>(CovarianceOf(error), T_a_b, convention);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                         \
-  template CompactPoseSlam<Pose>::Bridge CompactPoseSlam<Pose>::BridgeOf(PoseId, int) const;            \
-  template Pose CompactPoseSlam<Pose>::Recover(PoseId, int) const;                                      \
-  template Pose CompactPoseSlam<Pose>::Estimate(PoseId) const;                                          \
-  template Pose CompactPoseSlam<Pose>::Estimate(PoseId, Recovery) const;                                \
-  template std::vector<RecoveredPose<Pose>> CompactPoseSlam<Pose>::Trajectory(Recovery) const;          \
-  template CompactPoseSlam<Pose>::Error CompactPoseSlam<Pose>::ErrorOf(PoseId) const;                   \
-  template Pose::Jacobian CompactPoseSlam<Pose>::ChainCovariance(const Error&) const;                   \
-  template Pose::Jacobian CompactPoseSlam<Pose>::CovarianceOf(const Error&) const;                      \
-  template Pose::Jacobian CompactPoseSlam<Pose>::Covariance(PoseId, const CovarianceConvention&) const; \
-  template Pose::Jacobian CompactPoseSlam<Pose>::RelativeCovariance(PoseId, PoseId, const CovarianceConvention&) const;
-TERSE_INSTANTIATE(SE2)
-TERSE_INSTANTIATE(SE3)
-#undef TERSE_INSTANTIATE
+template class PoseRecovery<SE2>;
+template class PoseRecovery<SE3>;
 
-}  // namespace terse
+}  // namespace terse::internal

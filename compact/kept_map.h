@@ -1,0 +1,45 @@
+#pragma once
+// The kept poses with what was measured between them: the solver, and what is known of the poses.
+
+#include <vector>
+
+#include "terse/compact/uncertain_pose.h"
+#include "terse/core/incremental_solver.h"
+#include "terse/covariance/incremental_marginals.h"
+
+namespace terse::internal {
+
+template <class Pose>
+class KeptMap {
+ public:
+  explicit KeptMap(const IncrementalOptions& options) : solver_(options), marginals_(solver_) {}
+  KeptMap(const KeptMap&) = delete;
+  KeptMap& operator=(const KeptMap&) = delete;
+
+  const IncrementalSolver<Pose>& Solver() const { return solver_; }
+  const IncrementalMarginals<Pose>& Marginals() const { return marginals_; }
+  int Poses() const { return static_cast<int>(solver_.Graph().Poses().size()); }
+  // T_a_b between kept poses.
+  UncertainPose<Pose> Between(PoseId a, PoseId b) const;
+
+  // Whether the covariances are brought up to date with every change from now on (IncrementalMarginals::Update).
+  void KeepCovariances(bool keep) { keeps_covariances_ = keep; }
+  void UpdateCovariances();
+
+  // Throw what the solver throws.
+  StepReport Update(const GraphUpdate<Pose>& update);
+  BatchResult<Pose> Finish();
+  // The first update, brought to its optimum from these values, by index. Throws NumericalError if it has none.
+  StepReport Restore(const GraphUpdate<Pose>& update, const std::vector<Pose>& T_world_body);
+
+  void SetLog(LogSink log) { solver_.SetLog(std::move(log)); }
+  template <class Archive>
+  void Serialize(Archive& archive);
+
+ private:
+  IncrementalSolver<Pose> solver_;
+  IncrementalMarginals<Pose> marginals_;  // of solver_, where it is; as new as its last change if they are kept
+  bool keeps_covariances_ = false;
+};
+
+}  // namespace terse::internal

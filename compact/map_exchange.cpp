@@ -1,0 +1,112 @@
+#include "map_exchange.h"
+
+#include <algorithm>
+#include <stdexcept>
+#include <unordered_map>
+
+#include "pose_recovery.h"
+
+namespace terse::internal {
+namespace {
+
+using std::size_t;
+
+template <class Pose>
+using Edge = typename CompactMap<Pose>::Edge;
+
+// A factor as it comes back; nullptr: it is a prior.
+template <class Pose>
+struct Arriving {
+  FactorId factor;
+  const Edge<Pose>* edge;
+  Factor<Pose> measured;
+};
+
+// In order of arrival, as the ids were given.
+template <class Pose>
+std::vector<Arriving<Pose>> InOrder(const CompactMap<Pose>& map) {
+  std::vector<Arriving<Pose>> order;
+  for (const auto& edge : map.edges) order.push_back({edge.factor, &edge, edge.measured});
+  for (const auto& prior : map.priors) order.push_back({prior.factor, nullptr, prior.measured});
+  std::sort(order.begin(), order.end(), [](const auto& a, const auto& b) { return a.factor < b.factor; });
+  return order;
+}
+
+}  // namespace
+
+template <class Pose>
+CompactMap<Pose> ExportMap(const CompactParts<Pose>& parts, Recovery recovery) {
+  CompactMap<Pose> map;
+  map.poses = parts.history.Export();
+  map.forgotten = parts.history.Forgotten();
+  size_t next = 0;
+  for (const RecoveredPose<Pose>& pose : PoseRecovery<Pose>(parts.history, parts.map).Trajectory(recovery)) {
+    map.poses[next++].T_world_body = pose.T_world_body;
+  }
+  const PoseGraph<Pose>& graph = parts.map.Solver().Graph();
+  for (const auto& node : graph.Factors()) {
+    const auto* measured = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
+    if (measured == nullptr) {
+      map.priors.push_back({node.id, node.factor});
+      continue;
+    }
+    Edge<Pose> edge;
+    edge.factor = node.id;
+    edge.measured = *measured;
+    parts.links.Export(edge);
+    if (!edge.is_loop) {
+      edge.added_at = parts.history.NewerOf(measured->from, measured->to);
+      edge.composed_of = parts.history.ChainTo(edge.added_at);
+    }
+    map.edges.push_back(std::move(edge));
+  }
+  for (const auto& node : graph.Poses()) {
+    if (node.fixed) map.fixed.push_back({node.id, *node.T_world_body});
+  }
+  parts.tests.Export(map);
+  return map;
+}
+
+template <class Pose>
+void RestoreMap(const CompactMap<Pose>& map, CompactParts<Pose>& parts) {
+  const std::string defect = FindDefect(map);
+  if (!defect.empty()) throw std::invalid_argument(defect);
+  parts.history.Restore(map.poses, map.forgotten);
+  parts.tests.Restore(map);
+  if (map.poses.empty()) return;
+  GraphUpdate<Pose> update;
+  std::vector<Pose> T_world_body;
+  std::unordered_map<std::int64_t, size_t> place;  // in the update
+  for (const auto& pose : map.poses) {
+    if (!pose.kept) continue;
+    place[pose.id.value] = update.poses.size();
+    update.poses.push_back({pose.id, pose.T_world_body, false});
+    T_world_body.push_back(pose.T_world_body);
+  }
+  for (const auto& fixed : map.fixed) {
+    update.poses[place.at(fixed.pose.value)] = {fixed.pose, fixed.T_world_body, true};
+  }
+  const std::vector<Arriving<Pose>> order = InOrder(map);
+  for (const Arriving<Pose>& factor : order) {
+    if (factor.edge != nullptr && !factor.edge->is_loop) update.odometry.push_back(update.factors.size());
+    update.factors.push_back(factor.measured);
+  }
+  const StepReport report = parts.map.Restore(update, T_world_body);
+  for (size_t k = 0; k < order.size(); ++k) {
+    const Edge<Pose>* edge = order[k].edge;
+    if (edge == nullptr) continue;
+    parts.links.Restore(*edge, report.factor_ids[k]);
+    if (edge->is_loop) continue;
+    parts.history.SetOdometry(parts.history.NewerOf(edge->measured.from, edge->measured.to), report.factor_ids[k]);
+  }
+  parts.gains.Resume(parts.map.Poses(), parts.links.Size());
+}
+
+#define TERSE_INSTANTIATE(Pose)                                             \
+  template CompactMap<Pose> ExportMap(const CompactParts<Pose>&, Recovery); \
+  template void RestoreMap(const CompactMap<Pose>&, CompactParts<Pose>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse::internal
