@@ -181,8 +181,10 @@ Evaluated<Pose>* BoundedStep<Pose>::NextToRegister(const std::vector<Failed>& fa
 // Whether a pose is worth it.
 template <class Pose>
 bool BoundedStep<Pose>::TellsMap() const {
-  return std::any_of(sightings_.begin(), sightings_.end(),
-                     [&](const Sighting& s) { return s.map_gain > parts_.gains.MinLoopGain(); });
+  return std::any_of(sightings_.begin(), sightings_.end(), [&](const Sighting& s) {
+    const Offer<Pose>& link = OfferOf(s);
+    return s.map_gain > parts_.gains.MinLoopGain() && LowersVariance(current_, link.kept, link.T_kept_current, parts_);
+  });
 }
 
 template <class Pose>
@@ -252,6 +254,7 @@ std::optional<NewEdge<Pose>> BoundedStep<Pose>::ComposeWithChain(std::vector<Sig
   for (const Sighting& s : sightings) {
     const PoseId kept = OfferOf(s).kept;
     if (kept == current_.base || s.map_gain <= LeastEdgeGain(current_.base, kept, parts_)) continue;
+    if (!IsJoined(current_.base, kept, parts_) && !LowersVariance(current_, kept, OfferOf(s).T_kept_current, parts_)) continue;
     if (end == nullptr || s.map_gain > end->map_gain) end = &s;
   }
   if (end == nullptr) return std::nullopt;
@@ -282,6 +285,7 @@ std::optional<NewEdge<Pose>> BoundedStep<Pose>::ComposePair(std::vector<Sighting
                          {from.MeasuredTo(), to.MeasuredTo()}};
       edge.gain = InformationGain<Pose::kDof>(parts_.map.Between(from.kept, to.kept).covariance, edge.T_a_b.covariance);
       if (edge.gain <= LeastEdgeGain(from.kept, to.kept, parts_) || (best && edge.gain <= best->gain)) continue;
+      if (!IsJoined(edge.a, edge.b, parts_) && !LowersVariance(edge.a, edge.b, edge.T_a_b, parts_)) continue;
       best = std::move(edge);
       at = {a, b};
     }

@@ -37,6 +37,7 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   Require(o.failed_neighbourhood >= 0, "the neighbourhood of failed registrations must not be negative");
   Require(!o.most_dropped || *o.most_dropped >= 1, "at least one dropped pose has to be remembered");
   Require(o.most_recorded >= 0, "no less than 0 candidates can be recorded");
+  Require(o.min_variance_drop >= 0 && o.min_variance_drop < 1, "the share of the variance must be in [0, 1)");
   Require(o.consensus >= 2, "a consensus takes at least two links");
   Require(o.distance.view_axis.norm() > 0 && o.distance.view_axis.allFinite(), "the view axis is zero or not finite");
 }

@@ -8,6 +8,7 @@
 #include "kept_map.h"
 #include "link_tests.h"
 #include "pose_history.h"
+#include "terse/compact/aligned_variance.h"
 
 namespace terse::internal {
 
@@ -30,6 +31,7 @@ struct CompactParts {
   KeptLinks<Pose> links;
   CandidateSearch<Pose> search{options, map};
   LinkTests<Pose> tests{options, map, history};
+  AlignedVariance<Pose> variance{map.Solver(), map.Marginals()};
 };
 
 }  // namespace terse::internal

@@ -59,9 +59,13 @@ void ReplaceEdges(PoseId added_at, ChangedEdges<Pose>& changed, CompactParts<Pos
 }  // namespace
 
 template <class Pose>
+bool IsJoined(PoseId a, PoseId b, const CompactParts<Pose>& parts) {
+  return parts.links.Edges().Find(FusedEdges<Pose>::Ordered(a, b)) != nullptr;
+}
+
+template <class Pose>
 double LeastEdgeGain(PoseId a, PoseId b, const CompactParts<Pose>& parts) {
-  const bool is_there = parts.links.Edges().Find(FusedEdges<Pose>::Ordered(a, b)) != nullptr;
-  return is_there ? kLeastFusedGain : parts.gains.MinEdgeGain();
+  return IsJoined(a, b, parts) ? kLeastFusedGain : parts.gains.MinEdgeGain();
 }
 
 template <class Pose>
@@ -117,6 +121,7 @@ void RemoveLink(FactorId id, CompactParts<Pose>& parts) {
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                 \
+  template bool IsJoined(PoseId, PoseId, const CompactParts<Pose>&);                                            \
   template double LeastEdgeGain(PoseId, PoseId, const CompactParts<Pose>&);                                     \
   template void AddEdges(PoseId, std::vector<NewEdge<Pose>>&, CompactParts<Pose>&, std::optional<StepReport>&); \
   template void RemoveLink(FactorId, CompactParts<Pose>&);

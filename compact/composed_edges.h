@@ -21,6 +21,10 @@ struct NewEdge {
   bool fused = false;  // with an edge that was there
 };
 
+// Whether an edge joins the two that others can fuse with.
+template <class Pose>
+bool IsJoined(PoseId a, PoseId b, const CompactParts<Pose>& parts);
+
 // What an edge between the two must tell the map, nats: nearly nothing if it fuses with one that is there.
 template <class Pose>
 double LeastEdgeGain(PoseId a, PoseId b, const CompactParts<Pose>& parts);

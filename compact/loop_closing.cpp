@@ -116,7 +116,8 @@ bool LoopClosing<Pose>::Accept(Evaluated<Pose>& candidate, const Link& link) {
                              : OfferGain<Pose>(*offer, current_, known, measured.covariance - offer->carried);
   // Where the sensor cannot have seen the pose nothing is believed because others say the same: of many wrong loops
   // some agree by chance.
-  const bool good = PassesTests(candidate.plausible ? &current_ : nullptr, known, measured, record, parts_);
+  const bool good = PassesTests(candidate.plausible ? &current_ : nullptr, known, measured, record, parts_) &&
+                    LowersVariance(current_, record.id, measured, parts_);
   LogLink(record.id, current_.input->id, record, good, parts_);
   if (IsRefused(record)) ++decision_.links_refused;
   if (!good) return false;
@@ -225,6 +226,20 @@ bool PassesTests(const CurrentPose<Pose>* current, const UncertainPose<Pose>& kn
 }
 
 template <class Pose>
+bool LowersVariance(PoseId a, PoseId b, const UncertainPose<Pose>& T_a_b, CompactParts<Pose>& parts) {
+  const double share = parts.options.min_variance_drop;
+  if (share == 0 || parts.options.strategy != Strategy::kBounded) return true;
+  return parts.variance.ShareTold(a, b, T_a_b.covariance) > share;
+}
+
+template <class Pose>
+bool LowersVariance(const CurrentPose<Pose>& current, PoseId kept, const UncertainPose<Pose>& T_kept_current,
+                    CompactParts<Pose>& parts) {
+  return LowersVariance(current.base, kept,
+                        Compose(current.T_base_current, Invert(T_kept_current), parts.options.composition), parts);
+}
+
+template <class Pose>
 std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
                                                  PoseId current) {
   std::optional<RelativePoseFactor<Pose>> link = registration ? registration(candidate, current) : std::nullopt;
@@ -273,6 +288,9 @@ void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>
   template class LoopClosing<Pose>;                                                                           \
   template bool PassesTests(const CurrentPose<Pose>*, const UncertainPose<Pose>&, const UncertainPose<Pose>&, \
                             Candidate&, CompactParts<Pose>&);                                                 \
+  template bool LowersVariance(PoseId, PoseId, const UncertainPose<Pose>&, CompactParts<Pose>&);              \
+  template bool LowersVariance(const CurrentPose<Pose>&, PoseId, const UncertainPose<Pose>&,                  \
+                               CompactParts<Pose>&);                                                          \
   template std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>&, PoseId, PoseId);       \
   template void LogLink(PoseId, PoseId, const Candidate&, bool, const CompactParts<Pose>&, const char*);      \
   template void NotePoseGain(const Candidate&, const CompactOptions<Pose>&, Decision&);                       \

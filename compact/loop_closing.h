@@ -55,6 +55,14 @@ class LoopClosing {
 template <class Pose>
 bool PassesTests(const CurrentPose<Pose>* current, const UncertainPose<Pose>& known,
                  const UncertainPose<Pose>& measured, Candidate& record, CompactParts<Pose>& parts);
+
+// Whether a measurement between kept poses takes its share of the position error (CompactOptions::min_variance_drop);
+// and a loop of the pose at hand, together with the chain that the pose hangs on.
+template <class Pose>
+bool LowersVariance(PoseId a, PoseId b, const UncertainPose<Pose>& T_a_b, CompactParts<Pose>& parts);
+template <class Pose>
+bool LowersVariance(const CurrentPose<Pose>& current, PoseId kept, const UncertainPose<Pose>& T_kept_current,
+                    CompactParts<Pose>& parts);
 // Asks for a link. Throws std::invalid_argument for one between other poses or a defective one.
 template <class Pose>
 std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,

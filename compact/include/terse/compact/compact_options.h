@@ -39,6 +39,10 @@ struct CompactOptions {
   Strategy strategy = Strategy::kFpfl;
   Thresholds<Pose> thresholds;
   CompactBudget budget;
+  // kBounded: the share of the expected squared position error that a link or an edge must take from the map besides
+  // telling it enough nats, from 0 (not asked) to below 1. It is what remains after the best alignment, to first order
+  // (A-optimality without the gauge).
+  double min_variance_drop = 0;
   // A pose is a candidate for a link when it is within range (Thresholds::probability), or when the range meets the
   // ellipsoid that holds the displacement with this probability: a map that has drifted far knows no displacement well,
   // and that is when it needs its loops. The probability of being in range then says in which order they are
