@@ -4,8 +4,12 @@
 #include <stdexcept>
 #include <utility>
 
+#include "terse/compact/state_members.h"
+
 namespace terse {
 namespace {
+
+constexpr const char* kKind = "measurement stream";
 
 std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
@@ -143,6 +147,46 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::Close() {
   std::vector<StreamOutcome> out{slam_->AddPose(*open_)};
   open_.reset();
   return out;
+}
+
+// But for `slam`.
+template <class Pose>
+template <class Archive>
+void MeasurementStream<Pose>::Serialize(Archive& archive) {
+  auto& [slam, open, values, fixed] = *this;
+  std::vector<PoseId> fixed_list(fixed.begin(), fixed.end());
+  archive(open, values, fixed_list);
+  if constexpr (Archive::kReads) fixed = std::set<PoseId>(fixed_list.begin(), fixed_list.end());
+}
+
+template <class Pose>
+void MeasurementStream<Pose>::Save(const std::string& path) const {
+  StateWriter writer(StateKind<Pose>(kKind));
+  writer(*slam_, *this);
+  std::move(writer).Save(path);
+}
+
+template <class Pose>
+MeasurementStream<Pose> MeasurementStream<Pose>::Load(const std::string& path, CompactPoseSlam<Pose>& slam) {
+  StateReader reader(path, StateKind<Pose>(kKind));
+  CompactPoseSlam<Pose> loaded;
+  MeasurementStream stream(loaded);
+  try {
+    reader(loaded, stream);
+  } catch (const std::logic_error& error) {
+    reader.Fail(error.what());
+  }
+  reader.Finish();
+  if (loaded.Options().strategy == Strategy::kGiven) reader.Fail("the strategy given takes no stream");
+  const auto is_seen = [&](PoseId id) { return loaded.HasSeen(id) || loaded.HasForgotten(id); };
+  if (stream.open_ && is_seen(stream.open_->id)) reader.Fail("the pose at hand was added already");
+  for (const auto& [id, value] : stream.values_) {
+    if (is_seen(id) || !IsFinite(value)) reader.Fail("a value of a pose that was added already, or not finite");
+  }
+  loaded.SetLog(slam.Options().log);
+  slam = std::move(loaded);
+  stream.slam_ = &slam;
+  return stream;
 }
 
 template class MeasurementStream<SE2>;

@@ -11,7 +11,9 @@
 #include "terse/core/arrival.h"
 #include "terse/core/error.h"
 #include "terse/core/measurement_line.h"
+#include "testing_bounded.h"
 #include "testing_compact.h"
+#include "testing_files.h"
 #include "testing_state.h"
 
 namespace terse {
@@ -464,6 +466,44 @@ TEST(MeasurementStream, APoseThatCannotBeClosedStaysOpen) {
   run.Add(Edge(3, 4, Ahead(0.5)));
   run.Take(run.stream.Flush());
   EXPECT_LT(Distance(run.slam.Estimate({4}), Ahead(2)), 1e-9);
+}
+
+// Saved anywhere, in the middle of a pose too, and loaded into another run, it goes on to the last bit.
+template <class Pose>
+void ExpectSavedAnywhere() {
+  const RandomGraph<Pose> scene = MakeLaps<Pose>(5);
+  GraphReplay<Pose> replay(scene.graph);
+  const auto options = OptionsFor(replay, Strategy::kFpfl);
+  const auto factors = InOrderOfArrival(scene.graph);
+  StreamRun<Pose> whole(options);
+  whole.AddAll(scene.graph);
+  for (std::size_t cut = 3; cut < factors.size(); cut += 7) {
+    StreamRun<Pose> run(options);
+    run.stream.SetValue(scene.graph.Poses()[0].id, *scene.graph.Poses()[0].T_world_body);
+    for (std::size_t k = 0; k < cut; ++k) run.Add(factors[k]);
+    const PoseId later{1 << 20};  // its value is known before it comes
+    run.stream.SetValue(later, Pose());
+    const TestFile file("stream.state");
+    run.stream.Save(file.Path());
+    StreamRun<Pose> other{CompactOptions<Pose>()};
+    other.stream = MeasurementStream<Pose>::Load(file.Path(), other.slam);
+    EXPECT_EQ(other.stream.Open(), run.stream.Open());
+    for (std::size_t k = cut; k < factors.size(); ++k) other.Add(factors[k]);
+    other.Take(other.stream.Flush());
+    EXPECT_EQ(Bits(other.slam.Solver().LogDeterminant()), Bits(whole.slam.Solver().LogDeterminant())) << cut;
+    for (const auto& node : whole.slam.Solver().Graph().Poses()) {
+      ASSERT_EQ(Bits(other.slam.Estimate(node.id)), Bits(whole.slam.Estimate(node.id))) << cut;
+    }
+    const std::string before = Bits(run.slam.Solver().LogDeterminant());
+    run.slam.Save(file.Path());
+    EXPECT_THROW(MeasurementStream<Pose>::Load(file.Path(), run.slam), FileError);
+    EXPECT_EQ(Bits(run.slam.Solver().LogDeterminant()), before);
+  }
+}
+
+TEST(MeasurementStream, IsSavedAnywhere) {
+  ExpectSavedAnywhere<SE2>();
+  ExpectSavedAnywhere<SE3>();
 }
 
 }  // namespace

@@ -4,11 +4,14 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <filesystem>
 #include <map>
 #include <random>
+#include <set>
 
 #include "terse/compact/measurement_stream.h"
 #include "terse/core/measurement_line.h"
+#include "slow_build.h"
 #include "testing_command.h"
 
 namespace {
@@ -514,6 +517,75 @@ TEST_F(OnlineCommand, SurvivesKills) {
   child.Send(Join(lines, resumed["lines"], lines.size()));
   EXPECT_FALSE(child.Finish().empty());
   ExpectSameResults("pieces", "whole");
+}
+
+// The journal of a run without an end begins anew, beside a snapshot; killed at any moment the run goes on from the two.
+TEST_F(OnlineCommand, SurvivesKillsWhileTheJournalBeginsAnew) {
+  const int kills = terse::kSlowBuild ? 10 : 30;
+  const auto lines = Measurements(150);
+  std::map<std::string, json> expected;
+  for (const json& answer : Answers(Join(lines, 0, lines.size()), kOptions + "--output whole")) {
+    if (answer.contains("pose")) expected[answer["pose"].dump()] = WithoutSeconds(answer);
+  }
+  std::mt19937 random(11);
+  const std::string arguments = kOptions + "--remember all --journal journal --journal-size 0.002";
+  std::size_t next = 0;
+  std::set<std::string> snapshots;
+  for (int round = 0; round < kills; ++round) {
+    const bool resumes = Exists("journal");
+    Child child(folder_.string(), arguments);
+    if (resumes) {
+      const json resumed = child.Receive();
+      ASSERT_TRUE(resumed["resumed"].get<bool>());
+      EXPECT_GE(resumed["lines"].get<std::size_t>(), next);
+      next = resumed["lines"];
+    }
+    child.Send(Join(lines, next, next + 1 + random() % 12));
+    while (!Exists("journal") || Read("journal").find('\n') == std::string::npos)
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    std::this_thread::sleep_for(std::chrono::microseconds(random() % 8000));
+    child.Kill();
+    for (const json& answer : child.ReceiveAll()) {
+      if (!answer.contains("pose")) continue;
+      EXPECT_EQ(WithoutSeconds(answer), expected.at(answer["pose"].dump()));
+    }
+    // However often it began anew, so much is on the disk: a journal of a few lines and at most two snapshots.
+    EXPECT_LT(Read("journal").size(), 20000u);
+    const std::string journal = Read("journal");
+    if (const std::size_t at = journal.find("\"snapshot\""); at != std::string::npos)
+      snapshots.insert(journal.substr(at, journal.find('}', at) - at));
+  }
+  EXPECT_GT(snapshots.size(), 3u);
+  Child child(folder_.string(), arguments + " --output pieces");
+  const json resumed = child.Receive();
+  child.Send(Join(lines, resumed["lines"], lines.size()));
+  EXPECT_FALSE(child.Finish().empty());
+  for (const std::string file : {"/compact.g2o", "/trajectory.tum"})
+    EXPECT_EQ(Read("pieces" + file), Read("whole" + file));
+}
+
+TEST_F(OnlineCommand, SnapshotsOfAnotherJournalAreRefused) {
+  const auto lines = Measurements(120);
+  const std::string options = kOptions + "--remember 50 --journal journal ";
+  Write("input", Join(lines, 0, lines.size()));
+  Succeed(options + "--journal-size 0.002 < input > answers");
+  ASSERT_NE(Read("journal").find("\"snapshot\""), std::string::npos);
+  ASSERT_NE(Exists("journal.snapshot-1"), Exists("journal.snapshot-2"));
+  const std::string name = Exists("journal.snapshot-1") ? "journal.snapshot-1" : "journal.snapshot-2";
+  const std::string snapshot = Read(name), journal = Read("journal");
+  EXPECT_EQ(Answers("", options).at(0)["lines"], lines.size());
+  std::string damaged = snapshot;
+  damaged[damaged.size() / 2] ^= 4;
+  for (const std::string& content : {damaged, snapshot.substr(0, snapshot.size() / 2), std::string()}) {
+    Write(name, content);
+    ExpectFailure(options + "< input", 1, name + ": not the snapshot that the journal journal goes on from");
+    EXPECT_EQ(Read("journal"), journal);
+  }
+  std::filesystem::remove(folder_ / name);
+  ExpectFailure(options + "< input", 1, name);
+  Write(name, snapshot);
+  EXPECT_EQ(Answers("", options).at(0)["lines"], lines.size());
+  ExpectFailure(kOptions + "--journal journal --journal-size 0 < input", 2, "--journal-size");
 }
 
 TEST_F(OnlineCommand, CutsATornTailAtAnyByte) {

@@ -1,5 +1,6 @@
 #include <charconv>
 #include <cmath>
+#include <filesystem>
 #include <iostream>
 #include <optional>
 #include <sstream>
@@ -20,7 +21,9 @@
 #include "terse/compact/run_writer.h"
 #include "terse/compact/thresholds_file.h"
 #include "terse/compact/words.h"
+#include "terse/core/crc32.h"
 #include "terse/core/measurement_line.h"
+#include "terse/core/read_file.h"
 #include "terse/core/require_optimum.h"
 #include "terse/core/stamped_trajectory.h"
 #include "terse/core/writable.h"
@@ -34,6 +37,7 @@ using nlohmann::ordered_json;
 struct OnlineCommandOptions {
   int dimension = 0;  // 0: the first measurement tells
   std::string thresholds, journal, directory;
+  long journal_bytes = 64 * 1000 * 1000;  // beyond which it begins anew
   Strategy strategy = Strategy::kFpfl;
   std::vector<double> range, link_deviation;
   std::optional<double> probability, min_pose_gain, min_loop_gain;
@@ -55,14 +59,28 @@ constexpr const char* kAll = "all";
 constexpr int kRemembered = 1000;
 constexpr const char* kMostDropped = "most_dropped";
 
+ordered_json ParseHeader(const Journal& journal) {
+  ordered_json json = ParseJson<ordered_json>(journal.Header(), journal.Path(), 2);
+  if (!json.is_object())
+    throw FileError(journal.Path(), 0, "the journal's header is no JSON object, expected the options of its run");
+  return json;
+}
+
 template <class Pose>
 class OnlineRun {
  public:
-  OnlineRun(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options, Journal* journal)
-      : options_(options), slam_(settings), stream_(slam_), reader_(kSource, options.read), journal_(journal) {}
+  OnlineRun(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options, ordered_json header,
+            Journal* journal)
+      : options_(options),
+        slam_(settings),
+        stream_(slam_),
+        reader_(kSource, options.read),
+        header_(std::move(header)),
+        journal_(journal) {}
 
   void Resume() {
-    long number = 0, lines = 0;
+    TakeSnapshotOf(ParseHeader(*journal_));
+    long number = 0;
     while (const std::optional<std::string> line = journal_->ReadLine()) {
       ++number;
       try {
@@ -70,7 +88,7 @@ class OnlineRun {
       } catch (const std::exception& error) {
         throw FileError(journal_->Path(), number + 2, std::string("the line does not fit: ") + error.what());
       }
-      lines += !IsFlush(*line);
+      lines_ += !IsFlush(*line);
     }
     const long cut = journal_->CutTail();
     if (cut > 0 && !options_.quiet) {
@@ -80,7 +98,7 @@ class OnlineRun {
            {"poses", slam_.PosesSeen()},
            {"last_pose", IdOrNull(last_)},
            {"open_pose", IdOrNull(stream_.Open())},
-           {"lines", lines}});
+           {"lines", lines_}});
   }
 
   void Take(const InputLine& line) {
@@ -104,11 +122,13 @@ class OnlineRun {
       return Refuse(FileError(kSource, line.number, error.what()));
     }
     if (journal_ != nullptr) journal_->Append(IsFlush(text) ? kFlush : text);
+    lines_ += !IsFlush(text);
     Note(outcomes);
     if (text == kDiscard) return Print({{"discarded", IdOrNull(open)}});
     if (outcomes.empty()) return;
     if (journal_ != nullptr) journal_->Sync();
     if (!options_.quiet) Report(outcomes, SecondsNow() - before);
+    if (journal_ != nullptr && journal_->Bytes() > most_journal_bytes_) RotateJournal();
   }
 
   void Refuse(const FileError& error) {
@@ -132,6 +152,51 @@ class OnlineRun {
 
  private:
   static constexpr char kFlush[] = "FLUSH", kDiscard[] = "DISCARD";
+
+  // A snapshot stands for the lines so far, and the journal begins anew. The two last snapshots take turns, so that the
+  // one that the journal on disk names is there whenever the run is killed. One whose trajectory is to be written needs
+  // all its lines.
+  void RotateJournal() {
+    if (!options_.directory.empty()) return;
+    ++snapshots_;
+    const std::string path = SnapshotPath(snapshots_);
+    stream_.Save(path);
+    ordered_json header = header_;
+    header[kSnapshot] = {{"number", snapshots_}, {"crc32", Crc32(ReadAll(path))}, {"lines", lines_}};
+    header[kSnapshot]["last_pose"] = IdOrNull(last_);
+    journal_->Restart(header.dump());
+    std::error_code ignored;
+    std::filesystem::remove(SnapshotPath(snapshots_ + 1), ignored);
+    // A snapshot is as large as the map: so the work is a share of that of the lines.
+    most_journal_bytes_ =
+        std::max(options_.journal_bytes, 4 * static_cast<long>(std::filesystem::file_size(path, ignored)));
+  }
+  std::string SnapshotPath(long number) const { return journal_->Path() + ".snapshot-" + (number % 2 != 0 ? "1" : "2"); }
+
+  // What the journal's header says to begin with, if anything.
+  void TakeSnapshotOf(const ordered_json& header) {
+    if (!header.contains(kSnapshot)) return;
+    const ordered_json& snapshot = header[kSnapshot];
+    const auto whole_number = [&](const char* key) {
+      const ordered_json value = snapshot.is_object() ? snapshot.value(key, ordered_json()) : ordered_json();
+      if (!value.is_number_integer()) throw FileError(journal_->Path(), 2, "the header's snapshot has no " + std::string(key));
+      return value.get<long>();
+    };
+    snapshots_ = whole_number("number");
+    lines_ = whole_number("lines");
+    const std::string path = SnapshotPath(snapshots_);
+    if (static_cast<long>(Crc32(ReadAll(path))) != whole_number("crc32")) {
+      throw FileError(path, 0, "not the snapshot that the journal " + journal_->Path() + " goes on from");
+    }
+    stream_ = MeasurementStream<Pose>::Load(path, slam_);
+    if (const ordered_json last = snapshot.value("last_pose", ordered_json()); last.is_number_integer()) {
+      last_ = PoseId{last.get<std::int64_t>()};
+    }
+    if (!options_.directory.empty() && !options_.quiet) {
+      std::cerr << "terse: warning: decisions.csv will lack the poses of the " << lines_
+                << " lines before the journal's snapshot\n";
+    }
+  }
 
   static bool IsFlush(const std::string& text) { return text.empty() || text == kFlush; }
   static bool IsRequest(const std::string& text) {
@@ -260,12 +325,16 @@ class OnlineRun {
   }
 
   static constexpr std::string_view kRemove = "REMOVE ", kCovariance = "COVARIANCE";
+  static constexpr const char* kSnapshot = "snapshot";
 
   const OnlineCommandOptions& options_;
   CompactPoseSlam<Pose> slam_;
   MeasurementStream<Pose> stream_;
   MeasurementLineReader<Pose> reader_;
+  ordered_json header_;  // what the journal's lines mean depends on
   Journal* journal_;
+  long lines_ = 0, snapshots_ = 0;  // taken since the journal was begun, FLUSH aside; made
+  long most_journal_bytes_ = options_.journal_bytes;
   std::vector<Decision> decisions_;  // for decisions.csv
   std::optional<PoseId> last_;
 };
@@ -321,13 +390,6 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   return json;
 }
 
-ordered_json ParseHeader(const Journal& journal) {
-  ordered_json json = ParseJson<ordered_json>(journal.Header(), journal.Path(), 2);
-  if (!json.is_object())
-    throw FileError(journal.Path(), 0, "the journal's header is no JSON object, expected the options of its run");
-  return json;
-}
-
 void ExpectSameHeader(const Journal& journal, const ordered_json& now) {
   const ordered_json then = ParseHeader(journal);
   for (const auto& [key, value] : now.items()) {
@@ -352,9 +414,9 @@ std::string Remembered(const OnlineCommandOptions& options, const Journal* journ
 template <class Pose>
 void RunOnline(const OnlineCommandOptions& options, Journal* journal, LineSource& source) {
   const CompactOptions<Pose> settings = MakeOptions<Pose>(options);
-  OnlineRun<Pose> run(settings, options, journal);
+  const ordered_json header = JournalHeader(settings, options);
+  OnlineRun<Pose> run(settings, options, header, journal);
   if (journal != nullptr) {
-    const ordered_json header = JournalHeader(settings, options);
     if (journal->IsNew()) {
       journal->Create(header.dump());
     } else {
@@ -449,6 +511,13 @@ void AddOnlineCommand(CLI::App& app) {
                    "Every line taken is on disk before its decision is written; if the file exists, its lines are "
                    "taken again first")
       ->type_name("FILE");
+  command
+      ->add_option_function<double>(
+          "--journal-size", [options](double megabytes) { options->journal_bytes = std::lround(megabytes * 1e6); },
+          "Beyond so many megabytes the journal begins anew, with a snapshot of the run beside it (FILE.snapshot-1 and "
+          "-2, in turn); not with --output [64]")
+      ->check(NumberIn(0.001, 1e6))
+      ->type_name("MB");
   command
       ->add_option("--output", options->directory,
                    "Folder for compact.g2o, trajectory.tum and decisions.csv at the end of the input")

@@ -196,6 +196,26 @@ void Journal::Create(const std::string& header) {
   SyncFolderOf(path_);
 }
 
+void Journal::Restart(const std::string& header) {
+  const std::string next = path_ + ".next", bytes = std::string(kFormat) + Record(0, header);
+  const int descriptor = ::open(next.c_str(), O_RDWR | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC, 0666);
+  if (descriptor < 0) throw Failure(next, "cannot open the journal", errno);
+  int error = ::flock(descriptor, LOCK_EX | LOCK_NB) != 0 ? errno : WriteAll(descriptor, bytes);
+  if (error == 0) error = SyncData(descriptor);
+  if (error == 0 && ::rename(next.c_str(), path_.c_str()) != 0) error = errno;
+  if (error != 0) {
+    ::close(descriptor);
+    ::unlink(next.c_str());
+    throw Failure(path_, "cannot begin the journal anew", error);
+  }
+  ::close(descriptor_);
+  descriptor_ = descriptor;
+  header_ = header;
+  whole_ = static_cast<long>(bytes.size());
+  records_ = 1;
+  SyncFolderOf(path_);
+}
+
 // A record and what goes before it.
 void Journal::Write(const std::string& bytes) {
   if (const int error = WriteAll(descriptor_, bytes); error != 0) {

@@ -10,7 +10,8 @@
 // byte that changed, a record that is missing, doubled or swapped with another) is refused, and such a file is never
 // written to. Records missing at the very end leave no trace: no file alone can tell.
 //
-// A run of many hours replays all its lines. A record with a snapshot of the state could stand for those before it.
+// A run of many hours does not replay all its lines: every now and then the journal begins anew, with a header that
+// names a snapshot of the state (online_command.cpp).
 
 #include <optional>
 #include <string>
@@ -43,6 +44,11 @@ class Journal {
 
   // Begins a new journal.
   void Create(const std::string& header);
+  // Begins anew in the place of one that was read or created: the file is the old one or the new one at any moment, and
+  // locked. Throws FileError, and the old one stands.
+  void Restart(const std::string& header);
+  // Up to the end of the last whole record.
+  long Bytes() const { return whole_; }
   // `text` is one line. It is on disk after Sync(). What fails leaves the file as it was, if the disk allows.
   void Append(const std::string& text);
   void Sync();

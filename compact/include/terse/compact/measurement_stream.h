@@ -17,6 +17,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <string>
 #include <variant>
 #include <vector>
 
@@ -55,10 +56,18 @@ class MeasurementStream {
   // one that is not the first must be known when it is opened.
   void Fix(const std::vector<PoseId>& ids);
 
+  // The stream and its `slam` as one file, as CompactPoseSlam::Save; and back, into `slam`, which is replaced but for its
+  // log, and outlives what is returned. Throw FileError; `slam` is then as before.
+  void Save(const std::string& path) const;
+  static MeasurementStream Load(const std::string& path, CompactPoseSlam<Pose>& slam);
+
   // The pose at hand.
   std::optional<PoseId> Open() const { return open_ ? std::optional<PoseId>(open_->id) : std::nullopt; }
 
  private:
+  friend struct internal::StateAccess;
+  template <class Archive>
+  void Serialize(Archive& archive);
   std::vector<StreamOutcome> AddEdge(const RelativePoseFactor<Pose>& edge);
   LateLink LinkLate(const RelativePoseFactor<Pose>& edge);
   std::vector<StreamOutcome> AddPrior(const Factor<Pose>& prior);

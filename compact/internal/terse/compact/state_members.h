@@ -31,6 +31,12 @@ void Serialize(Archive& archive, CompactOptions<Pose>& options) {
   archive(keep_poses, keep_links);
 }
 
+template <class Archive, class Pose>
+void Serialize(Archive& archive, CompactInput<Pose>& input) {
+  auto& [id, odometry, T_world_body, fixed, priors, loops, linkable, keep] = input;
+  archive(id, odometry, T_world_body, fixed, priors, loops, linkable, keep);
+}
+
 // Those of the classes are compiled in the library.
 #define TERSE_EXTERN_STATE(Archive, Pose) extern template void CompactPoseSlam<Pose>::Serialize<Archive>(Archive&);
 TERSE_EXTERN_STATE(StateWriter, SE2)
