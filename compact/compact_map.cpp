@@ -1,9 +1,10 @@
 #include "terse/compact/compact_map.h"
 
 #include <Eigen/Cholesky>
-#include <algorithm>
+#include <cmath>
 #include <set>
-#include <stdexcept>
+#include <string>
+#include <type_traits>
 #include <unordered_map>
 
 namespace terse {

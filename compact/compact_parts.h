@@ -19,7 +19,7 @@ struct CompactParts {
   CompactParts(const CompactParts&) = delete;
   CompactParts& operator=(const CompactParts&) = delete;
 
-  // Throws as the constructor does. All but the solver's, which stay.
+  // Throws as the constructor does. The solver keeps the options that it was made with.
   void TakeOptions(const CompactOptions<Pose>& with);
   template <class Archive>
   void Serialize(Archive& archive);

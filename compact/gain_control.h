@@ -24,7 +24,8 @@ class GainControl {
     poses_kept_ = poses_kept;
     links_kept_ = links_kept;
   }
-  // After a pose: how many the map keeps by now, and how many loops came with it.
+  // After a pose: how many the map keeps by now, and how many loops came with it. Thresholds of strategies other than
+  // kFpfl and kBounded stay.
   template <class Pose>
   void Follow(const CompactOptions<Pose>& options, int poses_kept, int links_kept, int new_loops);
 

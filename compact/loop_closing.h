@@ -44,11 +44,12 @@ class LoopClosing {
   Decision& decision_;
   const Registration<Pose>& registration_;
   CompactParts<Pose>& parts_;
-  // Of CloseLoops. A candidate is open until it is settled: refused, accepted, or no loop to try any more.
+  // Of CloseLoops: the candidates as evaluated last, and the records of those that are not evaluated again.
   std::vector<Evaluated<Pose>> open_;
   std::vector<Candidate> settled_;
   std::vector<typename LinkTests<Pose>::Failed> failed_;  // registrations near the pose
-  std::optional<PoseId> linked_;                          // odometry alone joins the pose to this one
+  std::optional<PoseId>
+      linked_;  // the pose came with odometry from this one, which measures their displacement already
 };
 
 // Whether a link agrees with the map (LinkTests::IsBelieved), and its measured gain is enough for it to be added.
@@ -67,7 +68,7 @@ bool LowersVariance(const CurrentPose<Pose>& current, PoseId kept, const Uncerta
 template <class Pose>
 std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& registration, PoseId candidate,
                                                  PoseId current);
-// `passed`: what became of it if it is good.
+// Says what became of a link: `passed` if it is good.
 template <class Pose>
 void LogLink(PoseId a, PoseId b, const Candidate& record, bool good, const CompactParts<Pose>& parts,
              const char* passed = "added");
