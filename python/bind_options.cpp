@@ -188,6 +188,10 @@ void BindSelection(Compact& type) {
       type, "keep_links", [](auto& o) -> auto& { return o.budget.keep_links; },
       "The same of the loops that come measured or are registered.");
   DefField(
+      type, "min_variance_drop", [](auto& o) -> auto& { return o.min_variance_drop; },
+      "Strategy 'bounded': the share of the expected squared position error that a link must take from the map besides "
+      "telling it enough nats; 0: not asked.");
+  DefField(
       type, "most_dropped", [](auto& o) -> auto& { return o.most_dropped; },
       "So many of the newest dropped poses are remembered, and those that the chains of others lead through: memory "
       "then grows with the map alone. None: all.");

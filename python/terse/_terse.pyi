@@ -135,7 +135,7 @@ class CompactOptions:
         self, dimension: int, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike =
         ..., view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain:
         float = ..., angle: Angle = ..., composition: Composition = ...,
-        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] =
+        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] =
         ..., consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record =
         ..., solver: IncrementalOptions = ...,
     ) -> None: ...
@@ -197,6 +197,10 @@ class CompactOptions:
     def keep_links(self) -> Optional[float]: ...
     @keep_links.setter
     def keep_links(self, value: Optional[float]) -> None: ...
+    @property
+    def min_variance_drop(self) -> float: ...
+    @min_variance_drop.setter
+    def min_variance_drop(self, value: float) -> None: ...
     @property
     def most_dropped(self) -> Optional[int]: ...
     @most_dropped.setter
@@ -805,7 +809,7 @@ class Thresholds:
         self, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ..., view_axis:
         ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
         angle: Angle = ..., composition: Composition = ...,
-        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] = ...,
+        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] = ...,
         consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
         solver: IncrementalOptions = ...,
     ) -> CompactOptions: ...
@@ -850,7 +854,7 @@ def read_thresholds(
     path: PathLike, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ...,
     view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
     angle: Angle = ..., composition: Composition = ...,
-    keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] = ...,
+    keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] = ...,
     consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
     solver: IncrementalOptions = ...,
 ) -> CompactOptions: ...
