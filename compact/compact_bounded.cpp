@@ -165,6 +165,7 @@ void CompactPoseSlam<Pose>::Bound(Current& current, Decision& decision, const Re
   const auto search = [&] {
     for (Evaluated& e : Evaluate(current, InReach(current, registers), registers)) {
       if (e.record.probability > options_.thresholds.probability) {
+        if (registers && options_.budget.error) current.in_range.emplace_back(e.record.id, e.record.probability);
         decision.pose_gain = std::min(decision.pose_gain.value_or(e.record.gain), e.record.gain);
       }
       if (registers) candidates.push_back(std::move(e));

@@ -224,6 +224,7 @@ void CompactPoseSlam<Pose>::Search(Current& current, Decision& decision, const R
   std::vector<Evaluated> candidates = Evaluate(current, InReach(current, registers), registers);
   for (const Evaluated& e : candidates) {
     if (e.record.probability <= options_.thresholds.probability) continue;
+    if (registers && options_.budget.error) current.in_range.emplace_back(e.record.id, e.record.probability);
     decision.pose_gain = std::min(decision.pose_gain.value_or(e.record.gain), e.record.gain);
   }
   for (size_t k = 0; k < current.offers.size(); ++k) {

@@ -296,7 +296,9 @@ CompactPoseSlam<Pose> CompactPoseSlam<Pose>::Restore(const CompactMap<Pose>& map
   const BatchResult<Pose> result = slam.solver_->FinishFrom(T_world_body);
   slam.UpdateCovariances();
   RequireOptimum(result);
-  slam.gains_->Resume(static_cast<int>(slam.solver_->Graph().Poses().size()), slam.LinksKept());
+  T_world_body.clear();
+  for (const auto& pose : map.poses) T_world_body.push_back(pose.T_world_body);
+  slam.gains_->Resume(options, static_cast<int>(slam.solver_->Graph().Poses().size()), slam.LinksKept(), T_world_body);
   return slam;
 }
 

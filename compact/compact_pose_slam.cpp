@@ -49,10 +49,8 @@ void CheckThresholds(const Thresholds<Pose>& thresholds) {
 
 template <class Pose>
 void CheckOptions(const CompactOptions<Pose>& o) {
-  for (const std::optional<double>& share : {o.budget.keep_poses, o.budget.keep_links}) {
-    if (share && !(*share > 0 && *share <= 1))
-      throw std::invalid_argument("compact options: a budget is a share above 0 and at most 1");
-  }
+  const std::string defect = FindDefect(o.budget, o.strategy);
+  if (!defect.empty()) throw std::invalid_argument("compact options: " + defect);
   CheckThresholds(o.thresholds);
   if (o.innovation_quantile && !(*o.innovation_quantile > 0 && *o.innovation_quantile < 1))
     throw std::invalid_argument("compact options: the innovation quantile must be in (0, 1)");
@@ -91,7 +89,7 @@ template <class Pose>
 CompactPoseSlam<Pose>::CompactPoseSlam(const CompactOptions<Pose>& options)
     : solver_(std::make_unique<IncrementalSolver<Pose>>(SolverOptions(options))),
       marginals_(std::make_unique<IncrementalMarginals<Pose>>(*solver_)),
-      gains_(std::make_unique<GainControl>()),
+      gains_(std::make_unique<GainControl<Pose>>()),
       fused_(std::make_unique<FusedEdges<Pose>>()),
       reach_(std::make_unique<PoseIndex<Pose>>()) {
   TakeOptions(options);
@@ -324,17 +322,27 @@ template <class Pose>
 Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const Registration<Pose>& registration) {
   Current current = Start(input);
   TakeOffers(current);
+  const bool counts_loops = options_.budget.error && !history_.empty();
+  SeenLoops<Pose> seen{input.id, current.base, current.T_base_current, {}, {}, {}};
+  if (counts_loops && input.loops) {
+    for (const RelativePoseFactor<Pose>& loop : *input.loops) {
+      const PoseId other = loop.from == input.id ? loop.to : loop.from;
+      seen.measured.push_back({KeptBase(other), SeenFrom(KeptBase(other), CarryEndToKept(other, loop))});
+    }
+  }
+  const Registration<Pose> watched = counts_loops ? Watched(registration, seen) : nullptr;
+  const Registration<Pose>& register_loop = counts_loops ? watched : registration;
   Decision decision;
   decision.id = input.id;
   try {
     if (history_.empty()) {
       Keep(current, {});
     } else if (options_.strategy == Strategy::kApfl || options_.strategy == Strategy::kFpfl) {
-      Search(current, decision, registration);
+      Search(current, decision, register_loop);
     } else if (options_.strategy == Strategy::kBounded) {
-      Bound(current, decision, registration);
+      Bound(current, decision, register_loop);
     } else if (options_.strategy == Strategy::kApal || input.keep) {
-      LinkAll(current, decision, registration);
+      LinkAll(current, decision, register_loop);
     }
     Judge(current, decision);
     if (decision.Kept()) Keep(current, {});
@@ -351,7 +359,14 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   }
   Remember(current);
   const int loops = input.loops ? static_cast<int>(input.loops->size()) : decision.registrations_tried;
-  gains_->Follow(options_, static_cast<int>(solver_->Graph().Poses().size()), LinksKept(), loops);
+  const typename GainControl<Pose>::Kept kept{static_cast<int>(solver_->Graph().Poses().size()), LinksKept(), loops,
+                                              decision.links_accepted + static_cast<int>(decision.edges.size()),
+                                              decision.Kept()};
+  if (counts_loops && decision.links_refused == 0) {
+    seen.in_range = std::move(current.in_range);
+    gains_->FollowError(options_, seen, kept, *solver_, [this](FactorId id) { return FindLink(id) != links_.end(); });
+  }
+  gains_->Follow(options_, kept, current.T_world_body);
   KeepNewest(kMostRefused, refused_);
   KeepNewest(kMostFailed, failed_);
   LogVerdict(decision);

@@ -101,6 +101,7 @@ struct CompactPoseSlam<Pose>::Current {
   UncertainPose<Pose> chain;  // T_base_current as it came in, when base was still another pose
   Pose T_world_body;
   std::vector<Offer> offers;
+  std::vector<std::pair<PoseId, double>> in_range;  // kept poses, with the probability of it; for CompactBudget::error
   FactorId odometry;
   bool in_solver = false;
   bool concatenated = false;         // poses were dropped between base and this one

@@ -47,6 +47,7 @@ template <class Pose>
 class PoseIndex;
 template <class Pose>
 class FusedEdges;
+template <class Pose>
 class GainControl;
 
 // How dropped poses come back. kV0: as estimated when they were dropped. kV1 (Ila et al. 2017 Eq. 24): chained to the
@@ -290,7 +291,7 @@ class CompactPoseSlam {
   double most_distance_ = 0;    // squared, of the range from the mean of a plausible displacement
   std::unique_ptr<IncrementalSolver<Pose>> solver_;
   std::unique_ptr<IncrementalMarginals<Pose>> marginals_;
-  std::unique_ptr<GainControl> gains_;  // the thresholds in force
+  std::unique_ptr<GainControl<Pose>> gains_;  // the thresholds in force
   std::vector<Seen> history_;
   std::unordered_map<std::int64_t, int> index_;  // into history_
   std::vector<Link> links_;                      // ascending factors
