@@ -229,7 +229,7 @@ TEST(CompactBudgetTest, ExpectedErrorIsThatOfTheDenseInverse) {
 
 // More error allowed, smaller map; as it takes loops to find out, and thresholds stay as they are with few of them.
 TEST(CompactBudgetTest, FollowsTheErrorThatIsAllowed) {
-  const PoseGraph<SE2> graph = City(11);
+  const PoseGraph<SE2> graph = City(11, 900);
   const GraphReplay<SE2> replay(graph);
   for (const Strategy strategy : {Strategy::kFpfl, Strategy::kBounded}) {
     std::vector<int> kept, links;
