@@ -108,7 +108,7 @@ template <class Pose>
 void BoundedStep<Pose>::Search() {
   const bool registers = Registers();
   for (Evaluated<Pose>& e : parts_.search.Evaluate(current_, parts_.search.InReach(current_, registers), registers)) {
-    NotePoseGain(e.record, parts_.options, decision_);
+    NotePoseGain(e.record, registers, parts_.options, current_, decision_);
     if (registers) candidates_.push_back(std::move(e));
   }
 }

@@ -25,9 +25,8 @@ void CheckThresholds(const Thresholds<Pose>& thresholds) {
 
 template <class Pose>
 void CheckOptions(const CompactOptions<Pose>& o) {
-  for (const std::optional<double>& share : {o.budget.keep_poses, o.budget.keep_links}) {
-    Require(!share || (*share > 0 && *share <= 1), "a budget is a share above 0 and at most 1");
-  }
+  const std::string defect = FindDefect(o.budget, o.strategy);
+  Require(defect.empty(), defect.c_str());
   CheckThresholds(o.thresholds);
   Require(!o.innovation_quantile || (*o.innovation_quantile > 0 && *o.innovation_quantile < 1),
           "the innovation quantile must be in (0, 1)");

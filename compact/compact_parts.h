@@ -26,7 +26,7 @@ struct CompactParts {
 
   CompactOptions<Pose> options;
   KeptMap<Pose> map;
-  GainControl gains;  // the thresholds in force
+  GainControl<Pose> gains;  // the thresholds in force
   PoseHistory<Pose> history;
   KeptLinks<Pose> links;
   CandidateSearch<Pose> search{options, map};

@@ -44,15 +44,20 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   Decision decision;
   decision.id = input.id;
   decision.loops_forgotten = internal::TakeOffers(current, parts.history, parts.options);
+  const bool counts_loops = parts.options.budget.error && !parts.history.IsEmpty();
+  SeenLoops<Pose> seen;
+  if (counts_loops) seen = internal::LoopsOf(current, parts);
+  const Registration<Pose> watched = counts_loops ? Watched(registration, seen) : nullptr;
+  const Registration<Pose>& sensor = counts_loops ? watched : registration;
   try {
     if (parts.history.IsEmpty()) {
       internal::Keep({}, current, parts);
     } else if (strategy == Strategy::kApfl || strategy == Strategy::kFpfl) {
-      internal::LoopClosing<Pose>(current, decision, registration, parts).Search();
+      internal::LoopClosing<Pose>(current, decision, sensor, parts).Search();
     } else if (strategy == Strategy::kBounded) {
-      internal::BoundedStep<Pose>(current, decision, registration, parts).Run();
+      internal::BoundedStep<Pose>(current, decision, sensor, parts).Run();
     } else if (strategy == Strategy::kApal || input.keep) {
-      internal::LoopClosing<Pose>(current, decision, registration, parts).LinkAll();
+      internal::LoopClosing<Pose>(current, decision, sensor, parts).LinkAll();
     }
     decision.verdict = internal::Judge(current, decision, parts);
     if (decision.Kept()) internal::Keep({}, current, parts);
@@ -66,8 +71,7 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
     throw;
   }
   internal::Remember(current, parts.history);
-  const int loops = input.loops ? static_cast<int>(input.loops->size()) : decision.registrations_tried;
-  parts.gains.Follow(parts.options, parts.map.Poses(), parts.links.Size(), loops);
+  internal::FollowBudget(current, decision, counts_loops ? &seen : nullptr, parts);
   if (parts.options.most_dropped) parts.history.Forget(*parts.options.most_dropped);
   parts.tests.DropOldest();
   internal::LogVerdict(decision, parts);

@@ -2,6 +2,7 @@
 // The pose at hand while AddPose works it in, and the loops that came with it.
 
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "pose_history.h"
@@ -33,6 +34,7 @@ struct CurrentPose {
   UncertainPose<Pose> chain;  // T_base_current as it came in, when base was still another pose
   Pose T_world_body;
   std::vector<Offer<Pose>> offers;
+  std::vector<std::pair<PoseId, double>> in_range;  // kept poses, with the probability of it; for CompactBudget::error
   FactorId odometry;
   bool in_solver = false;
   bool concatenated = false;         // poses were dropped between base and this one

@@ -20,7 +20,7 @@ void LoopClosing<Pose>::Search() {
   const bool registers = Registers();
   std::vector<Evaluated<Pose>> candidates =
       parts_.search.Evaluate(current_, parts_.search.InReach(current_, registers), registers);
-  for (const Evaluated<Pose>& e : candidates) NotePoseGain(e.record, parts_.options, decision_);
+  for (const Evaluated<Pose>& e : candidates) NotePoseGain(e.record, registers, parts_.options, current_, decision_);
   for (size_t k = 0; k < current_.offers.size(); ++k) {
     candidates.push_back(parts_.search.EvaluateOffer(current_, static_cast<int>(k)));
   }
@@ -264,9 +264,11 @@ void LogLink(PoseId a, PoseId b, const Candidate& record, bool good, const Compa
 }
 
 template <class Pose>
-void NotePoseGain(const Candidate& candidate, const CompactOptions<Pose>& options, Decision& decision) {
+void NotePoseGain(const Candidate& candidate, bool registers, const CompactOptions<Pose>& options,
+                  CurrentPose<Pose>& current, Decision& decision) {
   if (candidate.probability <= options.thresholds.probability) return;
   decision.pose_gain = std::min(decision.pose_gain.value_or(candidate.gain), candidate.gain);
+  if (registers && options.budget.error) current.in_range.emplace_back(candidate.id, candidate.probability);
 }
 
 template <class Pose>
@@ -293,7 +295,7 @@ void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>
                                CompactParts<Pose>&);                                                          \
   template std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>&, PoseId, PoseId);       \
   template void LogLink(PoseId, PoseId, const Candidate&, bool, const CompactParts<Pose>&, const char*);      \
-  template void NotePoseGain(const Candidate&, const CompactOptions<Pose>&, Decision&);                       \
+  template void NotePoseGain(const Candidate&, bool, const CompactOptions<Pose>&, CurrentPose<Pose>&, Decision&); \
   template void RecordCandidates(std::vector<Candidate>, const CompactOptions<Pose>&, Decision&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -72,9 +72,11 @@ std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>& regis
 template <class Pose>
 void LogLink(PoseId a, PoseId b, const Candidate& record, bool good, const CompactParts<Pose>& parts,
              const char* passed = "added");
-// A candidate that is surely possible: the pose tells no more than a link to it would.
+// A candidate that is surely possible: the pose tells no more than a link to it would. Where the sensor is asked it
+// might have been linked.
 template <class Pose>
-void NotePoseGain(const Candidate& candidate, const CompactOptions<Pose>& options, Decision& decision);
+void NotePoseGain(const Candidate& candidate, bool registers, const CompactOptions<Pose>& options,
+                  CurrentPose<Pose>& current, Decision& decision);
 // The record of a decision stays small however many poses were in range: what was tried, and the best of the others.
 template <class Pose>
 void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>& options, Decision& decision);

@@ -99,7 +99,9 @@ void RestoreMap(const CompactMap<Pose>& map, CompactParts<Pose>& parts) {
     if (edge->is_loop) continue;
     parts.history.SetOdometry(parts.history.NewerOf(edge->measured.from, edge->measured.to), report.factor_ids[k]);
   }
-  parts.gains.Resume(parts.map.Poses(), parts.links.Size());
+  T_world_body.clear();
+  for (const auto& pose : map.poses) T_world_body.push_back(pose.T_world_body);
+  parts.gains.Resume(parts.options, parts.map.Poses(), parts.links.Size(), T_world_body);
 }
 
 #define TERSE_INSTANTIATE(Pose)                                             \

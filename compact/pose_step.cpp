@@ -4,6 +4,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "carry.h"
 #include "chains.h"
 #include "revival.h"
 #include "terse/core/error.h"
@@ -179,6 +180,39 @@ void Remember(const CurrentPose<Pose>& current, PoseHistory<Pose>& history) {
 }
 
 template <class Pose>
+SeenLoops<Pose> LoopsOf(const CurrentPose<Pose>& current, const CompactParts<Pose>& parts) {
+  const CompactInput<Pose>& input = *current.input;
+  SeenLoops<Pose> seen{input.id, current.base, current.T_base_current, {}, {}, {}};
+  if (!input.loops) return seen;
+  for (const RelativePoseFactor<Pose>& loop : *input.loops) {
+    const PoseId other = loop.from == input.id ? loop.to : loop.from;
+    if (parts.history.IsForgotten(other)) continue;
+    const PoseId kept = parts.history.Find(other).base;
+    seen.measured.push_back(
+        {kept, SeenFrom(kept, CarryEndToKept(other, loop, parts.history, parts.options.composition))});
+  }
+  return seen;
+}
+
+template <class Pose>
+void FollowBudget(const CurrentPose<Pose>& current, const Decision& decision, SeenLoops<Pose>* seen,
+                  CompactParts<Pose>& parts) {
+  const auto& loops = current.input->loops;
+  typename GainControl<Pose>::Kept kept;
+  kept.poses = parts.map.Poses();
+  kept.links = parts.links.Size();
+  kept.new_loops = loops ? static_cast<int>(loops->size()) : decision.registrations_tried;
+  kept.loops_used = decision.links_accepted + static_cast<int>(decision.edges.size());
+  kept.is_kept = decision.Kept();
+  if (seen != nullptr && decision.links_refused == 0) {
+    seen->in_range = current.in_range;
+    const auto is_link = [&](FactorId id) { return parts.links.Find(id) != nullptr; };
+    parts.gains.FollowError(parts.options, *seen, kept, parts.map.Solver(), is_link);
+  }
+  parts.gains.Follow(parts.options, kept, current.T_world_body);
+}
+
+template <class Pose>
 void LogVerdict(const Decision& decision, const CompactParts<Pose>& parts) {
   if (!parts.options.log) return;
   const bool by_gain = decision.verdict == PoseVerdict::kInformative || decision.verdict == PoseVerdict::kRedundant;
@@ -201,6 +235,8 @@ void LogVerdict(const Decision& decision, const CompactParts<Pose>& parts) {
                                       const Revival<Pose>*);                                                     \
   template PoseVerdict Judge(const CurrentPose<Pose>&, const Decision&, const CompactParts<Pose>&);              \
   template void Remember(const CurrentPose<Pose>&, PoseHistory<Pose>&);                                          \
+  template SeenLoops<Pose> LoopsOf(const CurrentPose<Pose>&, const CompactParts<Pose>&);                         \
+  template void FollowBudget(const CurrentPose<Pose>&, const Decision&, SeenLoops<Pose>*, CompactParts<Pose>&);  \
   template void LogVerdict(const Decision&, const CompactParts<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -24,6 +24,13 @@ template <class Pose>
 PoseVerdict Judge(const CurrentPose<Pose>& current, const Decision& decision, const CompactParts<Pose>& parts);
 template <class Pose>
 void Remember(const CurrentPose<Pose>& current, PoseHistory<Pose>& history);
+// Of a pose that has arrived, for CompactBudget::error.
+template <class Pose>
+SeenLoops<Pose> LoopsOf(const CurrentPose<Pose>& current, const CompactParts<Pose>& parts);
+// The thresholds follow the budget; `seen`: for the budget of the error, else nullptr.
+template <class Pose>
+void FollowBudget(const CurrentPose<Pose>& current, const Decision& decision, SeenLoops<Pose>* seen,
+                  CompactParts<Pose>& parts);
 template <class Pose>
 void LogVerdict(const Decision& decision, const CompactParts<Pose>& parts);
 

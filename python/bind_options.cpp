@@ -188,6 +188,13 @@ void BindSelection(Compact& type) {
       type, "keep_links", [](auto& o) -> auto& { return o.budget.keep_links; },
       "The same of the loops that come measured or are registered.");
   DefField(
+      type, "poses_per_area", [](auto& o) -> auto& { return o.budget.poses_per_area; },
+      "Kept poses per square as wide as the greatest range that the robot has been in; not with keep_poses.");
+  DefField(
+      type, "error", [](auto& o) -> auto& { return o.budget.error; },
+      "How many times the expected position error of a map with all loops that of the map may be, above 1, as "
+      "covariances tell; alone.");
+  DefField(
       type, "min_variance_drop", [](auto& o) -> auto& { return o.min_variance_drop; },
       "Strategy 'bounded': the share of the expected squared position error that a link must take from the map besides "
       "telling it enough nats; 0: not asked.");

@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
+#include <iterator>
 
 #include "testing_command.h"
 
@@ -71,8 +73,70 @@ TEST_F(SweepCommand, LinksAndRangeToo) {
   EXPECT_LT(std::stoi(range[1][4]), 250);
 }
 
+// The rows of one map, with the name that is their first column.
+std::vector<std::vector<std::string>> RowsOf(const std::vector<std::vector<std::string>>& rows,
+                                             const std::string& map) {
+  std::vector<std::vector<std::string>> out;
+  std::copy_if(rows.begin(), rows.end(), std::back_inserter(out), [&](const auto& row) { return row.at(0) == map; });
+  return out;
+}
+
+TEST_F(SweepCommand, WithoutAThresholdItDrawsSizeAgainstError) {
+  const std::string text = Succeed(
+                               "sweep in.g2o --ground-truth truth.tum --from 0.5 --to 2 --steps 3 --random-runs 2 "
+                               "--seed 7 --csv f.csv --svg f.svg")
+                               .out;
+  EXPECT_NE(text.find("with all poses and links"), std::string::npos) << text;
+  const auto rows = CsvRows(Read("f.csv"));
+  ASSERT_EQ(rows.size(), 12u);
+  for (const std::string strategy : {"fpfl", "bounded"}) {
+    const auto informed = RowsOf(rows, strategy), random = RowsOf(rows, "random size of " + strategy);
+    ASSERT_EQ(informed.size(), 3u);
+    ASSERT_EQ(random.size(), 3u);
+    EXPECT_GT(std::stoi(informed[0][4]), std::stoi(informed[2][4])) << "fewer poses where more is asked of them";
+    for (std::size_t k = 0; k < 3; ++k) {
+      ASSERT_EQ(informed[k].size(), 14u);
+      EXPECT_NEAR(std::stod(informed[k][1]), 0.5 * std::pow(2, static_cast<double>(k)), 1e-12);
+      EXPECT_NEAR(std::stod(informed[k][2]), std::stod(informed[0][2]) * std::pow(2, static_cast<double>(k)), 1e-9);
+      EXPECT_NEAR(std::stod(informed[k][5]), 100 * std::stod(informed[k][4]) / 250, 1e-9);
+      EXPECT_EQ(informed[k][10], informed[k][12]) << "one map";
+      EXPECT_EQ(random[k][4], informed[k][4]) << "as many poses";
+      EXPECT_LE(std::stoi(random[k][6]), std::stoi(informed[k][6])) << "no more links";
+      EXPECT_LE(std::stod(random[k][12]), std::stod(random[k][10]));
+      EXPECT_GE(std::stod(random[k][13]), std::stod(random[k][10]));
+    }
+    // The middle one is a run of compact.
+    Succeed("compact in.g2o --strategy " + strategy + " --ground-truth truth.tum --output run_" + strategy);
+    const auto stats = JsonFile("run_" + strategy + "/stats.json");
+    EXPECT_EQ(std::stoi(informed[1][4]), stats["poses_kept"]);
+    EXPECT_EQ(std::stoi(informed[1][6]), stats["links_kept"]);
+    EXPECT_NEAR(std::stod(informed[1][10]), stats["errors"]["ate_m"].get<double>(), 1e-6);
+  }
+  const std::string picture = Read("f.svg");
+  for (const char* word : {"fpfl", "bounded", "random, size of fpfl", "all poses and links",
+                           "poses kept, % of all poses", "links kept, % of all links", "ATE to the ground truth, m"}) {
+    EXPECT_NE(picture.find(word), std::string::npos) << word;
+  }
+  EXPECT_EQ(picture.find("nan"), std::string::npos);
+  Succeed(
+      "sweep in.g2o --ground-truth truth.tum --from 0.5 --to 2 --steps 3 --random-runs 2 --seed 7 --csv again.csv "
+      "--quiet");
+  const auto again = CsvRows(Read("again.csv"));
+  for (std::size_t k = 0; k < rows.size(); ++k) EXPECT_EQ(again[k][10], rows[k][10]) << "same seed, same maps";
+}
+
+TEST_F(SweepCommand, RandomMapsCanBeLeftOut) {
+  Succeed("sweep in.g2o --steps 1 --from 1 --random-runs 0 --csv f.csv --svg f.svg");
+  const auto rows = CsvRows(Read("f.csv"));
+  ASSERT_EQ(rows.size(), 2u);
+  EXPECT_EQ(rows[0][0], "fpfl");
+  EXPECT_EQ(rows[1][0], "bounded");
+  EXPECT_NE(Read("f.svg").find("ATE to the full optimum, m"), std::string::npos);
+}
+
 TEST_F(SweepCommand, SaysWhatIsWrong) {
-  ExpectFailure("sweep in.g2o", 2, "--threshold");
+  ExpectFailure("sweep in.g2o --threshold loop --random-runs 2", 2, "--random-runs");
+  ExpectFailure("sweep in.g2o --ground-truth nowhere.tum", 1, "nowhere.tum");
   ExpectFailure("sweep in.g2o --threshold colour", 2, "colour");
   ExpectFailure("sweep in.g2o --threshold loop --from 0", 2, "--from");
   ExpectFailure("sweep in.g2o --threshold loop --steps 0", 2, "--steps");

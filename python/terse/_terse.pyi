@@ -135,9 +135,11 @@ class CompactOptions:
         self, dimension: int, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike =
         ..., view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain:
         float = ..., angle: Angle = ..., composition: Composition = ...,
-        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] =
-        ..., consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record =
-        ..., solver: IncrementalOptions = ...,
+        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., poses_per_area: Optional[float] = ...,
+        error: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ...,
+        innovation_quantile: Optional[float] = ..., consensus: int = ...,
+        plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
+        solver: IncrementalOptions = ...,
     ) -> None: ...
     @property
     def dimension(self) -> int: ...
@@ -197,6 +199,14 @@ class CompactOptions:
     def keep_links(self) -> Optional[float]: ...
     @keep_links.setter
     def keep_links(self, value: Optional[float]) -> None: ...
+    @property
+    def poses_per_area(self) -> Optional[float]: ...
+    @poses_per_area.setter
+    def poses_per_area(self, value: Optional[float]) -> None: ...
+    @property
+    def error(self) -> Optional[float]: ...
+    @error.setter
+    def error(self, value: Optional[float]) -> None: ...
     @property
     def min_variance_drop(self) -> float: ...
     @min_variance_drop.setter
@@ -809,7 +819,9 @@ class Thresholds:
         self, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ..., view_axis:
         ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
         angle: Angle = ..., composition: Composition = ...,
-        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] = ...,
+        keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., poses_per_area: Optional[float] = ...,
+        error: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ...,
+        innovation_quantile: Optional[float] = ...,
         consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
         solver: IncrementalOptions = ...,
     ) -> CompactOptions: ...
@@ -854,7 +866,9 @@ def read_thresholds(
     path: PathLike, *, strategy: Strategy = ..., range: ArrayLike = ..., link_covariance: ArrayLike = ...,
     view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
     angle: Angle = ..., composition: Composition = ...,
-    keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ..., innovation_quantile: Optional[float] = ...,
+    keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., poses_per_area: Optional[float] = ...,
+    error: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ...,
+        innovation_quantile: Optional[float] = ...,
     consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
     solver: IncrementalOptions = ...,
 ) -> CompactOptions: ...

@@ -1,7 +1,10 @@
 #include "commands/budget_options.h"
 
 #include <charconv>
+#include <cmath>
 #include <string>
+
+#include "commands/commands.h"
 
 namespace terse {
 namespace {
@@ -18,8 +21,8 @@ std::optional<double> ParseShare(std::string text) {
   return share > 0 && share <= 1 ? std::optional<double>(share) : std::nullopt;
 }
 
-void AddShareOption(CLI::App& command, const char* name, std::optional<double>& share, const char* help) {
-  command
+CLI::Option* AddShareOption(CLI::App& command, const char* name, std::optional<double>& share, const char* help) {
+  return command
       .add_option_function<std::string>(
           name, [&share](const std::string& text) { share = ParseShare(text); }, help)
       ->check([](const std::string& text) {
@@ -28,14 +31,43 @@ void AddShareOption(CLI::App& command, const char* name, std::optional<double>& 
       ->type_name("SHARE");
 }
 
+// Refuses nan too.
+std::string NeedsGrowth(const std::string& text) {
+  double growth = 0;
+  const char* end = text.data() + text.size();
+  const std::from_chars_result read = std::from_chars(text.data(), end, growth);
+  const bool is_number = read.ec == std::errc() && read.ptr == end;
+  return is_number && growth > 1 && std::isfinite(growth) ? "" : text + " is no growth of the error, a number above 1";
+}
+
 }  // namespace
 
 void AddBudgetOptions(CLI::App& command, CompactBudget& budget) {
-  AddShareOption(
+  CLI::Option* poses = AddShareOption(
       command, "--keep-poses", budget.keep_poses,
       "Keep this share of the poses in the long run (10% or 0.1): the thresholds follow, from the given ones "
       "on; less where there is nothing to say");
-  AddShareOption(command, "--keep-links", budget.keep_links, "The same of the loops that are measured or registered");
+  CLI::Option* links = AddShareOption(command, "--keep-links", budget.keep_links,
+                                      "The same of the loops that are measured or registered");
+  CLI::Option* density =
+      command
+          .add_option(
+              "--poses-per-area", budget.poses_per_area,
+              "Keep so many poses per square as wide as the sensor's greatest range that the robot has been in: "
+              "the map grows with the area, not with time")
+          ->check(PositiveNumber())
+          ->type_name("N")
+          ->excludes(poses);
+  command
+      .add_option(
+          "--error", budget.error,
+          "Keep what it takes for the position error to be so many times that of a map with all loops (1.2), as "
+          "far as covariances tell")
+      ->check(NeedsGrowth)
+      ->type_name("GROWTH")
+      ->excludes(poses)
+      ->excludes(links)
+      ->excludes(density);
 }
 
 }  // namespace terse

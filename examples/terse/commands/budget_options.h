@@ -1,5 +1,5 @@
 #pragma once
-// --keep-poses and --keep-links: how much of a run the map may keep.
+// --keep-poses, --keep-links, --poses-per-area and --error: how much of a run the map may keep.
 
 #include <CLI/CLI.hpp>
 

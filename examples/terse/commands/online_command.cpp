@@ -376,9 +376,11 @@ template <class Pose>
 ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options) {
   ordered_json json = ThresholdsToJson(settings.thresholds);
   json["strategy"] = Name(settings.strategy);
-  const auto& [keep_poses, keep_links] = settings.budget;
+  const auto& [keep_poses, keep_links, poses_per_area, error] = settings.budget;
   if (keep_poses) json["keep_poses"] = *keep_poses;
   if (keep_links) json["keep_links"] = *keep_links;
+  if (poses_per_area) json["poses_per_area"] = *poses_per_area;
+  if (error) json["error"] = *error;
   if (settings.most_dropped) json[kMostDropped] = *settings.most_dropped;
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;

@@ -1,10 +1,11 @@
-// What a threshold of compact pose SLAM does (Ila et al. 2017 Fig. 5 top).
+// What a threshold of compact pose SLAM does (Ila et al. 2017 Fig. 5 top); without one, size against error of maps.
 
 #include <cmath>
 #include <iostream>
 
 #include "commands/commands.h"
 #include "commands/output_paths.h"
+#include "commands/sweep_frontier.h"
 #include "commands/verbose.h"
 #include "pictures/svg_chart.h"
 #include "run/compact_run.h"
@@ -26,10 +27,12 @@ enum class Scaled { kLoop, kPose, kRange };
 struct SweepOptions {
   std::string path, ground_truth, thresholds, csv, svg;
   ReadOptions read;
-  Scaled scaled = Scaled::kLoop;
-  double from = 0.25, to = 4;
+  std::optional<Scaled> scaled;
+  std::optional<double> from, to;  // by default as below, or as FrontierOptions
   std::optional<double> sample;
-  int steps = 9;
+  std::optional<int> steps;
+  int random_runs = FrontierOptions().random_runs;
+  std::uint64_t seed = 1;
   bool quiet = false;
   LogSink log;
 };
@@ -42,6 +45,9 @@ const char* Name(Scaled scaled) {
   }
   return "";
 }
+
+constexpr double kFrom = 0.25, kTo = 4;
+constexpr int kSteps = 9;
 
 struct SweepRow {
   double scale = 1;
@@ -66,7 +72,7 @@ SweepRow RunAt(double scale, const PoseGraph<Pose>& graph, CompactOptions<Pose> 
   if (options.scaled == Scaled::kPose) thresholds.min_pose_gain *= scale;
   if (options.scaled == Scaled::kRange) thresholds.range *= scale;
   GraphReplay<Pose> replay(graph);
-  const std::string label = std::string(Name(options.scaled)) + " x " + Cell(scale);
+  const std::string label = std::string(Name(*options.scaled)) + " x " + Cell(scale);
   const CompactRun<Pose> run = RunWithProgress(CompactPoseSlam<Pose>(settings), replay, label, options.quiet);
   SweepRow row;
   row.scale = scale;
@@ -103,9 +109,11 @@ Sweep RunSweep(const PoseGraph<Pose>& graph, const SweepOptions& options) {
   } else {
     base.thresholds = ReadThresholds<Pose>(options.thresholds);
   }
-  for (int k = 0; k < options.steps; ++k) {
-    const double share = options.steps > 1 ? static_cast<double>(k) / (options.steps - 1) : 0;
-    const double scale = options.from * std::pow(options.to / options.from, share);
+  const double from = options.from.value_or(kFrom), to = options.to.value_or(kTo);
+  const int steps = options.steps.value_or(kSteps);
+  for (int k = 0; k < steps; ++k) {
+    const double share = steps > 1 ? static_cast<double>(k) / (steps - 1) : 0;
+    const double scale = from * std::pow(to / from, share);
     sweep.rows.push_back(RunAt(scale, graph, base, reference, options));
   }
   return sweep;
@@ -157,9 +165,12 @@ void WriteCsv(const Sweep& sweep, const std::string& path) {
   file.Commit();
 }
 
+std::string FileName(const SweepOptions& options) { return options.path.substr(options.path.find_last_of('/') + 1); }
+
 void WriteChart(const Sweep& sweep, const SweepOptions& options, const std::string& path) {
   const std::string x_label = std::string(options.scaled == Scaled::kRange ? "sensor range" : "minimum gain of a ") +
-                              (options.scaled == Scaled::kRange ? "" : Name(options.scaled)) + ", times the chosen one";
+                              (options.scaled == Scaled::kRange ? "" : Name(*options.scaled)) +
+                              ", times the chosen one";
   const auto panel = [&](const char* title, const char* y_label, const auto& value) {
     ChartLine line{"FPFL", {}, {}, true};
     for (const SweepRow& row : sweep.rows) {
@@ -169,12 +180,27 @@ void WriteChart(const Sweep& sweep, const SweepOptions& options, const std::stri
     return ChartPanel{title, x_label, y_label, {line}, true};
   };
   const std::string text = DrawCharts(
-      "Compact pose SLAM over a threshold: " + options.path.substr(options.path.find_last_of('/') + 1),
+      "Compact pose SLAM over a threshold: " + FileName(options),
       {panel("Poses kept", "% of all poses", [&](const SweepRow& row) { return Percent(row.poses, sweep.poses); }),
        panel("Links kept", "% of all links", [&](const SweepRow& row) { return Percent(row.links, sweep.links); }),
        panel("Time", "seconds", [](const SweepRow& row) { return row.seconds; }),
        panel("Absolute trajectory error", "metres", [](const SweepRow& row) { return row.ate.translation_m; })});
   WriteText(text, path);
+}
+
+FrontierOptions ForFrontier(const SweepOptions& options) {
+  FrontierOptions out;
+  out.ground_truth = options.ground_truth;
+  out.thresholds = options.thresholds;
+  out.sample = options.sample;
+  out.from = options.from.value_or(out.from);
+  out.to = options.to.value_or(out.to);
+  out.steps = options.steps.value_or(out.steps);
+  out.random_runs = options.random_runs;
+  out.seed = options.seed;
+  out.quiet = options.quiet;
+  out.log = options.log;
+  return out;
 }
 
 void SweepFile(const SweepOptions& options) {
@@ -186,6 +212,14 @@ void SweepFile(const SweepOptions& options) {
   RequireWritable(options.csv);
   RequireWritable(options.svg);
   AddPathToErrors(options.path, [&] {
+    if (!options.scaled) {
+      const FrontierOptions settings = ForFrontier(options);
+      const Frontier frontier = std::visit([&](const auto& graph) { return RunFrontier(graph, settings); }, file.graph);
+      if (!options.csv.empty()) WriteFrontierCsv(frontier, options.csv);
+      if (!options.svg.empty()) WriteFrontierChart(frontier, FileName(options), options.svg);
+      PrintFrontier(frontier);
+      return;
+    }
     const Sweep sweep = std::visit([&](const auto& graph) { return RunSweep(graph, options); }, file.graph);
     if (!options.csv.empty()) WriteCsv(sweep, options.csv);
     if (!options.svg.empty()) WriteChart(sweep, options, options.svg);
@@ -197,25 +231,32 @@ void SweepFile(const SweepOptions& options) {
 
 void AddSweepCommand(CLI::App& app) {
   auto options = std::make_shared<SweepOptions>();
-  CLI::App* command = app.add_subcommand("sweep", "Scale a threshold of compact over a range: poses, links, time, ATE");
+  CLI::App* command = app.add_subcommand(
+      "sweep",
+      "Size against error: maps of fpfl and bounded from large to small, beside random ones of the same size; with "
+      "--threshold, what one threshold does to poses, links, time, ATE");
   command->add_option("FILE", options->path, "The graph file (g2o, TORO or iSAM)")->required();
-  AddChoice(*command, "--threshold", options->scaled,
-            {{"loop", Scaled::kLoop}, {"pose", Scaled::kPose}, {"range", Scaled::kRange}},
-            "Minimum gain of a link or of a pose, or the sensor range")
-      ->default_str("")
-      ->required();
-  command->add_option("--from", options->from, "Least scale")
+  CLI::Option* threshold = AddChoice<std::optional<Scaled>, Scaled>(
+                               *command, "--threshold", options->scaled,
+                               {{"loop", Scaled::kLoop}, {"pose", Scaled::kPose}, {"range", Scaled::kRange}},
+                               "Scale this one of fpfl alone: minimum gain of a link or of a pose, or the sensor "
+                               "range; by default both gains")
+                               ->default_str("");
+  command->add_option("--from", options->from, "Least scale (0.125; with --threshold 0.25)")
       ->check(PositiveNumber())
-      ->type_name("X")
-      ->capture_default_str();
-  command->add_option("--to", options->to, "Largest scale; those between are logarithmic")
+      ->type_name("X");
+  command->add_option("--to", options->to, "Largest scale (8; with --threshold 4); those between are logarithmic")
       ->check(PositiveNumber())
-      ->type_name("X")
-      ->capture_default_str();
-  command->add_option("--steps", options->steps, "How many scales")
+      ->type_name("X");
+  command->add_option("--steps", options->steps, "How many scales (7; with --threshold 9)")
       ->check(CLI::Range(1, 1000).description(""))
+      ->type_name("N");
+  command->add_option("--random-runs", options->random_runs, "Random maps per size, of which the mean counts; 0: none")
+      ->check(CLI::Range(0, 1000).description(""))
       ->type_name("N")
-      ->capture_default_str();
+      ->capture_default_str()
+      ->excludes(threshold);
+  AddSeedOption(*command, options->seed, "Of the random maps");
   CLI::Option* file =
       command->add_option("--thresholds", options->thresholds, "Read the thresholds from a thresholds.json of compact")
           ->type_name("FILE");
@@ -231,6 +272,7 @@ void AddSweepCommand(CLI::App& app) {
   AddVerboseOption(*command, options->log);
   command->footer(
       "Example: terse generate ellipse --output ellipse.g2o &&\n"
+      "         terse sweep ellipse.g2o --csv frontier.csv --svg frontier.svg &&\n"
       "         terse sweep ellipse.g2o --threshold pose --steps 3 --csv sweep.csv --svg sweep.svg");
   command->callback([options] { SweepFile(*options); });
 }

@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "terse/compact/distance.h"
@@ -26,13 +27,28 @@ enum class Record { kNone, kDecisions, kCandidates };
 // that was scaled to agree with the residuals (information_scale.h), which is an estimate itself.
 inline constexpr double kInnovationQuantile = 0.9999, kInnovationQuantileOfScaled = 0.99999999;
 
-// Shares that the map is to keep in the long run, above 0 and at most 1, instead of gains: the thresholds of the
-// options are where the run starts, and follow (Strategy::kFpfl and kBounded). Where there is nothing to say less is
-// kept.
+// What the map is to keep in the long run, instead of gains: the thresholds of the options are where the run starts,
+// and follow (Strategy::kFpfl and kBounded). Where there is nothing to say less is kept.
 struct CompactBudget {
+  // Shares, above 0 and at most 1.
   std::optional<double> keep_poses;  // of the poses seen
   std::optional<double> keep_links;  // of the loops that came measured or were registered
+  // Kept poses per cell of AreaCell() that the robot has been in, positive: per square as wide as the sensor's range.
+  // Not with keep_poses.
+  std::optional<double> poses_per_area;
+  // How much larger than that of a map with all loops the expected position error may be, above 1: the ratio of root
+  // mean squares over the kept poses, as covariances tell. Alone: what it takes is kept.
+  std::optional<double> error;
 };
+
+// "", or what of a budget is out of its domain, contradicts itself, or cannot be kept with the strategy.
+std::string FindDefect(const CompactBudget& budget, Strategy strategy);
+
+// The side of the cells that CompactBudget::poses_per_area counts: the greatest range, metres.
+template <class Pose>
+double AreaCell(const Thresholds<Pose>& thresholds) {
+  return thresholds.range.template head<Pose::kDim>().maxCoeff();
+}
 
 template <class Pose>
 struct CompactOptions {

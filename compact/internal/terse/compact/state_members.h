@@ -27,8 +27,8 @@ void Serialize(Archive& archive, CompactOptions<Pose>& options) {
   archive(strategy, range, probability, plausible_quantile, max_registrations, failed_neighbourhood, min_loop_gain,
           min_pose_gain, link_covariance, distance, composition, innovation_quantile, consensus, record, most_recorded,
           most_dropped, min_variance_drop, solver);
-  auto& [keep_poses, keep_links] = budget;
-  archive(keep_poses, keep_links);
+  auto& [keep_poses, keep_links, poses_per_area, error] = budget;
+  archive(keep_poses, keep_links, poses_per_area, error);
 }
 
 template <class Archive, class Pose>

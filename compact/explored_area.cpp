@@ -1,10 +1,13 @@
 #include "terse/compact/explored_area.h"
 
-#include <array>
 #include <cmath>
-#include <set>
 
 namespace terse {
+
+bool EnteredCells::Enter(const Vector<3>& position) {
+  const Vector<3> at = (position - origin_) / cell_m_;
+  return entered_.insert({std::round(at.x()), std::round(at.y()), std::round(at.z())}).second;
+}
 
 std::vector<double> ExploredArea(const std::vector<SE3>& T_world_body, double cell_m) {
   if (!(cell_m > 0) || !std::isfinite(cell_m) || T_world_body.empty()) return {};
@@ -14,14 +17,12 @@ std::vector<double> ExploredArea(const std::vector<SE3>& T_world_body, double ce
     low = low.cwiseMin(T.Translation());
     high = high.cwiseMax(T.Translation());
   }
-  const Vector<3> center = (low + high) / 2;
-  std::set<std::array<double, 3>> entered;
+  EnteredCells cells((low + high) / 2, cell_m);
   std::vector<double> area;
   area.reserve(T_world_body.size());
   for (const SE3& T : T_world_body) {
-    const Vector<3> at = (T.Translation() - center) / cell_m;
-    entered.insert({std::round(at.x()), std::round(at.y()), std::round(at.z())});
-    area.push_back(static_cast<double>(entered.size()) * cell_m * cell_m);
+    cells.Enter(T.Translation());
+    area.push_back(cells.AreaM2());
   }
   return area;
 }
