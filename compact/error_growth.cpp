@@ -68,12 +68,11 @@ void ErrorGrowth<Pose>::See(const SeenLoops<Pose>& seen, bool is_kept, int used,
   left_out_ += std::max(evidence_ - before - used, 0.0);
 }
 
-// A tenth more, or a fiftieth left out. A few loops in a row can be all that holds two parts of a map together, so as
-// long as next to nothing was left out every few that are count. A look costs as much as solving the map a few times.
+// A tenth more, or a fiftieth left out: a few loops in a row can be all that holds two parts of a map together. A look
+// costs as much as solving the map a few times.
 template <class Pose>
 bool ErrorGrowth<Pose>::IsDue() const {
-  constexpr double kFew = 5, kNothing = 1.05;
-  return evidence_ > 1.1 * looked_at_ + 2 * kFew || left_out_ > kFew + (growth_ < kNothing ? 0 : 0.02 * evidence_);
+  return evidence_ > 1.1 * looked_at_ + 10 || left_out_ > 0.02 * evidence_ + 5;
 }
 
 template <class Pose>
@@ -116,22 +115,21 @@ std::optional<double> ErrorGrowth<Pose>::Growth(const IncrementalSolver<Pose>& s
   const auto compact = ExpectedAlignedError<Pose>(map, T_world_body, std::move(odometry));
   const auto whole = ExpectedAlignedError<Pose>(map, T_world_body, std::move(all));
   if (!compact || !whole) return std::nullopt;
-  growth_ = std::sqrt(*compact / *whole);
-  return growth_;
+  return std::sqrt(*compact / *whole);
 }
 
 template <class Pose>
 template <class Archive>
 void ErrorGrowth<Pose>::Serialize(Archive& archive) {
-  auto& [information, evidence, looked_at, left_out, growth, tried, measured] = *this;
-  archive(information, evidence, looked_at, left_out, growth, tried, measured);
+  auto& [information, evidence, looked_at, left_out, tried, measured] = *this;
+  archive(information, evidence, looked_at, left_out, tried, measured);
   if constexpr (Archive::kReads) {
     for (const auto& [ends, matrix] : information) {
       const Eigen::LLT<Jacobian> llt(matrix);
       if (!(ends.first < ends.second) || !matrix.allFinite() || llt.info() != Eigen::Success)
         archive.Fail("information of a loop that is none");
     }
-    const bool counts = evidence >= 0 && looked_at >= 0 && left_out >= 0 && growth > 0 && tried > 0 && measured > 0 &&
+    const bool counts = evidence >= 0 && looked_at >= 0 && left_out >= 0 && tried > 0 && measured > 0 &&
                         std::isfinite(evidence + tried);
     if (!counts) archive.Fail("a count of loops that is none");
   }

@@ -495,3 +495,20 @@ def test_run_folder_errors(tmp_path, ellipse):
     with pytest.raises(terse.FileError) as caught:
         terse.read_run(tmp_path / "run")
     assert caught.value.line == 2
+
+
+def test_budgets(ellipse):
+    options = terse.select_thresholds(ellipse).options(strategy="bounded", poses_per_area=2.0, keep_links=0.1)
+    assert options.poses_per_area == 2 and options.keep_links == 0.1 and options.error is None
+    sparse = terse.CompactPoseSlam(options)
+    sparse.run(terse.GraphReplay(ellipse))
+    options.poses_per_area = 8
+    options.keep_links = None
+    dense = terse.CompactPoseSlam(options)
+    dense.run(terse.GraphReplay(ellipse))
+    assert sparse.poses_kept < dense.poses_kept
+    options.error = 1.2
+    with pytest.raises(ValueError, match="contradict"):
+        terse.CompactPoseSlam(options)
+    options.poses_per_area = None
+    assert terse.CompactPoseSlam(options).options.error == 1.2

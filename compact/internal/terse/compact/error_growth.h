@@ -57,7 +57,6 @@ class ErrorGrowth {
   std::map<std::pair<PoseId, PoseId>, Jacobian> information_;
   double evidence_ = 0, looked_at_ = 0;  // loops seen, and how many there were then
   double left_out_ = 0;                  // since then
-  double growth_ = 1;                    // found then
   double tried_ = 1, measured_ = 1;      // registrations, and those that gave a link
 };
 
