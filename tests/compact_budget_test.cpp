@@ -76,7 +76,8 @@ TEST(CompactBudgetTest, LeavesTheThresholdsOfOtherStrategies) {
   const GraphReplay<SE2> replay(graph);
   CompactOptions<SE2> options = Settings(replay, Strategy::kApfl);
   const CompactRun<SE2> without = RunCompact(CompactPoseSlam<SE2>(options), replay);
-  options.budget = {0.1, 0.01};
+  options.budget.keep_poses = 0.1;
+  options.budget.keep_links = 0.01;
   const CompactRun<SE2> with = RunCompact(CompactPoseSlam<SE2>(options), replay);
   ASSERT_GT(without.LinksKept(), 0.01 * replay.LinksOffered());  // thresholds that follow would keep fewer
   EXPECT_EQ(with.LinksKept(), without.LinksKept());
