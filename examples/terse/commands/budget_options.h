@@ -1,5 +1,6 @@
 #pragma once
-// --keep-poses, --keep-links, --poses-per-area and --error: how much of a run the map may keep.
+// --keep-poses, --keep-links, --poses-per-area and --error: how much of a run the map may keep; --min-variance-drop:
+// what a link must tell besides nats.
 
 #include <CLI/CLI.hpp>
 
@@ -8,5 +9,6 @@
 namespace terse {
 
 void AddBudgetOptions(CLI::App& command, CompactBudget& budget);
+void AddVarianceOption(CLI::App& command, double& min_variance_drop);
 
 }  // namespace terse

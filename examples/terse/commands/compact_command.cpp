@@ -38,6 +38,7 @@ struct CompactCommandOptions {
   std::optional<double> probability;
   std::optional<double> min_pose_gain, min_loop_gain;
   CompactBudget budget;
+  double min_variance_drop = 0;
   std::string thresholds;  // a file to read them from
   bool auto_thresholds = false;
   std::optional<double> sample;  // share of the poses
@@ -76,6 +77,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
   options.budget = from.budget;
+  options.min_variance_drop = from.min_variance_drop;
   options.log = from.log;
   options.max_registrations = from.max_registrations;
   options.record = from.record;
@@ -338,6 +340,7 @@ void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
 
 void AddThresholdOptions(CLI::App& command, CompactCommandOptions& options) {
   AddBudgetOptions(command, options.budget);
+  AddVarianceOption(command, options.min_variance_drop);
   command
       .add_option("--range", options.range,
                   "Sensor range in metres and radians; by default 1.5 times the longest link of the file, less one in "

@@ -29,6 +29,7 @@ struct KittiCommandOptions {
   std::string path, directory, thresholds, ground_truth, frames;
   Strategy strategy = Strategy::kFpfl;
   CompactBudget budget;
+  double min_variance_drop = 0;
   Search search = Search::kInformation;
   MotionCovariance covariance = MotionCovariance::kSchur;
   bool quiet = false;
@@ -75,6 +76,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   if (!options.thresholds.empty()) how.slam.compact.thresholds = ReadThresholds<SE3>(options.thresholds);
   how.slam.compact.strategy = options.strategy;
   how.slam.compact.budget = options.budget;
+  how.slam.compact.min_variance_drop = options.min_variance_drop;
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
   how.truth = truth;
@@ -134,6 +136,7 @@ void AddKittiCommand(CLI::App& app) {
                    "A thresholds.json; by default thresholds for a vehicle at ten frames a second")
       ->type_name("FILE");
   AddBudgetOptions(*command, options->budget);
+  AddVarianceOption(*command, options->min_variance_drop);
   command->add_option("--frames", options->frames, "Only frames A, A + 1 ... B - 1; either may be left out")
       ->check(
           [](const std::string& text) { return ParseRange(text) ? "" : text + " is no range of frames like 0:100"; })

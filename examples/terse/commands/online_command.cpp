@@ -42,6 +42,7 @@ struct OnlineCommandOptions {
   std::vector<double> range, link_deviation;
   std::optional<double> probability, min_pose_gain, min_loop_gain;
   CompactBudget budget;
+  double min_variance_drop = 0;
   std::string remember;  // a number of dropped poses, "all", or as the journal or the outputs have it
   std::optional<double> innovation_quantile = 0.9999;
   RobustOptions robust;
@@ -366,6 +367,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust;
   options.budget = from.budget;
+  options.min_variance_drop = from.min_variance_drop;
   if (!from.remember.empty() && from.remember != kAll) options.most_dropped = std::stoi(from.remember);
   options.log = from.log;
   return options;
@@ -381,6 +383,7 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   if (keep_links) json["keep_links"] = *keep_links;
   if (poses_per_area) json["poses_per_area"] = *poses_per_area;
   if (error) json["error"] = *error;
+  if (settings.min_variance_drop > 0) json["min_variance_drop"] = settings.min_variance_drop;
   if (settings.most_dropped) json[kMostDropped] = *settings.most_dropped;
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
@@ -506,6 +509,7 @@ void AddOnlineCommand(CLI::App& app) {
             "finds the robot in known terrain its chain starts anew at a kept pose");
   AddThresholdOptions(*command, *options);
   AddBudgetOptions(*command, options->budget);
+  AddVarianceOption(*command, options->min_variance_drop);
   AddRobustOptions(*command, options->robust);
   AddReadOptions(*command, options->read);
   command
