@@ -254,7 +254,8 @@ std::optional<NewEdge<Pose>> BoundedStep<Pose>::ComposeWithChain(std::vector<Sig
   for (const Sighting& s : sightings) {
     const PoseId kept = OfferOf(s).kept;
     if (kept == current_.base || s.map_gain <= LeastEdgeGain(current_.base, kept, parts_)) continue;
-    if (!IsJoined(current_.base, kept, parts_) && !LowersVariance(current_, kept, OfferOf(s).T_kept_current, parts_)) continue;
+    if (!IsJoined(current_.base, kept, parts_) && !LowersVariance(current_, kept, OfferOf(s).T_kept_current, parts_))
+      continue;
     if (end == nullptr || s.map_gain > end->map_gain) end = &s;
   }
   if (end == nullptr) return std::nullopt;

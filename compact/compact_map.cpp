@@ -191,7 +191,7 @@ class Inspection {
 
   const CompactMap<Pose>& map_;
   std::string where_, defect_;
-  PoseId newest_;  // looked through
+  PoseId newest_;                                // looked through
   std::unordered_map<std::int64_t, size_t> at_;  // of those looked through
   std::set<FactorId> factors_, parts_;
 };

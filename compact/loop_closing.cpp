@@ -286,16 +286,15 @@ void RecordCandidates(std::vector<Candidate> settled, const CompactOptions<Pose>
   decision.candidates = std::move(settled);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                               \
-  template class LoopClosing<Pose>;                                                                           \
-  template bool PassesTests(const CurrentPose<Pose>*, const UncertainPose<Pose>&, const UncertainPose<Pose>&, \
-                            Candidate&, CompactParts<Pose>&);                                                 \
-  template bool LowersVariance(PoseId, PoseId, const UncertainPose<Pose>&, CompactParts<Pose>&);              \
-  template bool LowersVariance(const CurrentPose<Pose>&, PoseId, const UncertainPose<Pose>&,                  \
-                               CompactParts<Pose>&);                                                          \
-  template std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>&, PoseId, PoseId);       \
-  template void LogLink(PoseId, PoseId, const Candidate&, bool, const CompactParts<Pose>&, const char*);      \
-  template void NotePoseGain(const Candidate&, bool, const CompactOptions<Pose>&, CurrentPose<Pose>&, Decision&); \
+#define TERSE_INSTANTIATE(Pose)                                                                                    \
+  template class LoopClosing<Pose>;                                                                                \
+  template bool PassesTests(const CurrentPose<Pose>*, const UncertainPose<Pose>&, const UncertainPose<Pose>&,      \
+                            Candidate&, CompactParts<Pose>&);                                                      \
+  template bool LowersVariance(PoseId, PoseId, const UncertainPose<Pose>&, CompactParts<Pose>&);                   \
+  template bool LowersVariance(const CurrentPose<Pose>&, PoseId, const UncertainPose<Pose>&, CompactParts<Pose>&); \
+  template std::optional<RelativePoseFactor<Pose>> Register(const Registration<Pose>&, PoseId, PoseId);            \
+  template void LogLink(PoseId, PoseId, const Candidate&, bool, const CompactParts<Pose>&, const char*);           \
+  template void NotePoseGain(const Candidate&, bool, const CompactOptions<Pose>&, CurrentPose<Pose>&, Decision&);  \
   template void RecordCandidates(std::vector<Candidate>, const CompactOptions<Pose>&, Decision&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

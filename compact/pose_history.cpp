@@ -282,8 +282,9 @@ std::string PoseHistory<Pose>::FindStateDefect(const PoseGraph<Pose>& kept) cons
     const bool knows_previous = seen.previous >= 0 || (seen.anchored && forgotten_ > 0);
     const bool has_chain = seen.previous < at && knows_previous == (at > 0) && seen.parent < at &&
                            (seen.parent < 0) == (at == 0) && (seen.anchored || seen.parent == seen.previous);
-    const bool has_end = seen.ended_by < Size() && (seen.ended_by < 0 || ((*this)[seen.ended_by].anchored &&
-                                                                          (*this)[seen.ended_by].previous >= 0));
+    const bool has_end =
+        seen.ended_by < Size() &&
+        (seen.ended_by < 0 || ((*this)[seen.ended_by].anchored && (*this)[seen.ended_by].previous >= 0));
     if (!is_known || !has_chain || !has_end) return "a pose without its chain";
     // A dropped pose hangs where the one before it on its chain does; so chains end at a kept pose.
     if (!seen.kept && (at == 0 || (*this)[seen.parent].base != seen.base)) return "a pose without its chain";

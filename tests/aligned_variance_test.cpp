@@ -74,8 +74,9 @@ TYPED_TEST(AlignedVarianceTest, IsThatOfDenseAlgebra) {
       // A measurement that agrees with the points, so that the graph is linearised there with it.
       const PoseId a{input.id.value / 3}, b = input.id;
       PoseGraph<Pose> with = graph;
-      RelativePoseFactor<Pose> link{a, b, points[static_cast<std::size_t>(graph.IndexOf(a))].Inverse() *
-                                              points[static_cast<std::size_t>(graph.IndexOf(b))]};
+      RelativePoseFactor<Pose> link{a, b,
+                                    points[static_cast<std::size_t>(graph.IndexOf(a))].Inverse() *
+                                        points[static_cast<std::size_t>(graph.IndexOf(b))]};
       const typename Pose::Jacobian Sigma = 1e-3 * Pose::Jacobian::Identity();
       link.information = 1e3 * Pose::Jacobian::Identity();
       with.AddFactor(link);

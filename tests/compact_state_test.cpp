@@ -66,8 +66,7 @@ std::string Fields(const Decision& decision) {
   EXPECT_EQ(update.has_value(), decision.Kept() || !edges.empty());
   std::string out = (update ? Bits(update->gate_value) + Bits(update->flops) : "") + Bits(id) + Bits(verdict) +
                     Bits(pose_gain) + Bits(tried) + Bits(accepted) + Bits(refused) + Bits(forgotten) +
-                    Bits(candidates.size()) +
-                    Bits(found) + Bits(anchored_to);
+                    Bits(candidates.size()) + Bits(found) + Bits(anchored_to);
   for (const ComposedEdge& edge : edges) out += Fields(edge);
   for (const PoseId back : revived) out += Bits(back);
   for (const Candidate& candidate : candidates) out += Fields(candidate);

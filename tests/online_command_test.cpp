@@ -9,9 +9,9 @@
 #include <random>
 #include <set>
 
+#include "slow_build.h"
 #include "terse/compact/measurement_stream.h"
 #include "terse/core/measurement_line.h"
-#include "slow_build.h"
 #include "testing_command.h"
 
 namespace {
@@ -519,7 +519,8 @@ TEST_F(OnlineCommand, SurvivesKills) {
   ExpectSameResults("pieces", "whole");
 }
 
-// The journal of a run without an end begins anew, beside a snapshot; killed at any moment the run goes on from the two.
+// The journal of a run without an end begins anew, beside a snapshot; killed at any moment the run goes on from the
+// two.
 TEST_F(OnlineCommand, SurvivesKillsWhileTheJournalBeginsAnew) {
   const int kills = terse::kSlowBuild ? 10 : 30;
   const auto lines = Measurements(150);

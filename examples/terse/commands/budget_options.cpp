@@ -72,9 +72,10 @@ void AddBudgetOptions(CLI::App& command, CompactBudget& budget) {
 
 void AddVarianceOption(CLI::App& command, double& min_variance_drop) {
   command
-      .add_option("--min-variance-drop", min_variance_drop,
-                  "Strategy bounded: a link or an edge is kept only if it also takes this share of the expected squared "
-                  "position error from the map [0: not asked]")
+      .add_option(
+          "--min-variance-drop", min_variance_drop,
+          "Strategy bounded: a link or an edge is kept only if it also takes this share of the expected squared "
+          "position error from the map [0: not asked]")
       ->check(NumberIn(0, 0.999999))
       ->type_name("SHARE");
 }

@@ -172,7 +172,9 @@ class OnlineRun {
     most_journal_bytes_ =
         std::max(options_.journal_bytes, 4 * static_cast<long>(std::filesystem::file_size(path, ignored)));
   }
-  std::string SnapshotPath(long number) const { return journal_->Path() + ".snapshot-" + (number % 2 != 0 ? "1" : "2"); }
+  std::string SnapshotPath(long number) const {
+    return journal_->Path() + ".snapshot-" + (number % 2 != 0 ? "1" : "2");
+  }
 
   // What the journal's header says to begin with, if anything.
   void TakeSnapshotOf(const ordered_json& header) {
@@ -180,7 +182,8 @@ class OnlineRun {
     const ordered_json& snapshot = header[kSnapshot];
     const auto whole_number = [&](const char* key) {
       const ordered_json value = snapshot.is_object() ? snapshot.value(key, ordered_json()) : ordered_json();
-      if (!value.is_number_integer()) throw FileError(journal_->Path(), 2, "the header's snapshot has no " + std::string(key));
+      if (!value.is_number_integer())
+        throw FileError(journal_->Path(), 2, "the header's snapshot has no " + std::string(key));
       return value.get<long>();
     };
     snapshots_ = whole_number("number");

@@ -20,8 +20,8 @@ struct CompactMap {
   struct SeenPose {
     PoseId id;
     bool kept = true;
-    Pose T_world_body;                // of a dropped one as recovered
-    Pose T_world_body_when_seen;      // Recovery::kV0
+    Pose T_world_body;            // of a dropped one as recovered
+    Pose T_world_body_when_seen;  // Recovery::kV0
     // That its odometry comes from; absent for the first, and where it is forgotten.
     std::optional<PoseId> previous;
     PoseId base;                      // the kept pose that it hangs on; itself if kept
@@ -77,8 +77,8 @@ struct CompactMap {
   // So many more were dropped and are forgotten (CompactOptions::most_dropped); ids then ascend, and others name them
   // where they came in with them (added_at, links).
   long forgotten = 0;
-  std::vector<Edge> edges;      // between kept poses, ascending factors
-  std::vector<Prior> priors;    // on kept poses
+  std::vector<Edge> edges;    // between kept poses, ascending factors
+  std::vector<Prior> priors;  // on kept poses
   std::vector<Fixed> fixed;
   std::vector<Refused> refused;  // oldest first
   std::vector<Failed> failed;    // likewise

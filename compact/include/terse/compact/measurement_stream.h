@@ -56,8 +56,8 @@ class MeasurementStream {
   // one that is not the first must be known when it is opened.
   void Fix(const std::vector<PoseId>& ids);
 
-  // The stream and its `slam` as one file, as CompactPoseSlam::Save; and back, into `slam`, which is replaced but for its
-  // log, and outlives what is returned. Throw FileError; `slam` is then as before.
+  // The stream and its `slam` as one file, as CompactPoseSlam::Save; and back, into `slam`, which is replaced but for
+  // its log, and outlives what is returned. Throw FileError; `slam` is then as before.
   void Save(const std::string& path) const;
   static MeasurementStream Load(const std::string& path, CompactPoseSlam<Pose>& slam);
 

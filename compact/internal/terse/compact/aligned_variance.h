@@ -13,6 +13,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "terse/compact/rigid_motions.h"
 #include "terse/core/incremental_solver.h"
 #include "terse/covariance/incremental_marginals.h"
 
@@ -33,10 +34,6 @@ class AlignedVariance {
   double ShareTold(PoseId a, PoseId b, const Jacobian& Sigma_a_b);
 
  private:
-  static constexpr int B = Pose::kDof, D = Pose::kDim, kTurns = B - D;
-  using Block = Eigen::Matrix<double, D, B>;
-  using Turn = Eigen::Matrix<double, D, kTurns>;
-
   void Refresh();
 
   const IncrementalSolver<Pose>& solver_;
@@ -44,9 +41,8 @@ class AlignedVariance {
   // Of the factor's version_. Nothing of it is stored: it is worked out again to the same bits.
   std::uint64_t version_ = 0;
   std::vector<PoseId> ids_;
-  std::vector<Eigen::Matrix<double, D, D>> R_world_body_;
-  std::vector<Turn> turns_;  // what turns of the whole map about its middle do to a position, orthonormal
-  double total_ = -1;        // V; negative until it is asked for
+  RigidMotions<Pose> motions_;
+  double total_ = -1;  // V; negative until it is asked for
 };
 
 }  // namespace terse::internal
