@@ -636,6 +636,8 @@ TEST_F(OnlineCommand, RefusesOtherFilesAndOptions) {
   ExpectFailure(use + " --robust dcs", 1, "robust is \"none\" there, \"dcs\" now");
   ExpectFailure(use + " --no-innovation-test", 1, "innovation_quantile is 0.9999 there, null now");
   ExpectFailure("online --range 10 10 10 1.5 --journal journal < input", 1, "dimension is 2 there, 3 now");
+  Succeed(kOptions + "--keep-poses 10% --journal other < input");
+  ExpectFailure(kOptions + "--journal other < input", 1, "keep_poses is 0.1 there, null now");
   ExpectFailure(kOptions + "--journal . < input", 1, "regular file");
   EXPECT_EQ(Read("journal"), whole);
   Child first(folder_.string(), kOptions + "--journal journal");
