@@ -87,8 +87,7 @@ std::optional<double> ErrorGrowth<Pose>::Growth(const IncrementalSolver<Pose>& s
   looked_at_ = evidence_;
   left_out_ = 0;
   const PoseGraph<Pose>& map = solver.Graph();
-  std::vector<Pose> T_world_body;
-  for (int k = 0; k < static_cast<int>(map.Poses().size()); ++k) T_world_body.push_back(solver.EstimateAt(k));
+  const std::vector<Pose> T_world_body = solver.Estimates();
   std::vector<LinearFactor<Pose::kDof>> odometry = {Anchor(FindGauge(map, T_world_body))}, links;
   for (const auto& node : map.Poses()) {
     if (!node.fixed) continue;

@@ -42,6 +42,7 @@ void EnteredCells::Serialize(Archive& archive) {
   auto& [origin, cell_m, entered] = *this;
   archive(origin, cell_m);
   std::vector<Vector<3>> list;
+  list.reserve(entered.size());
   for (const Cell& cell : entered) list.emplace_back(cell[0], cell[1], cell[2]);
   archive(list);
   if constexpr (Archive::kReads) {

@@ -2,6 +2,7 @@
 #include "terse/core/at.h"
 
 #include <Eigen/Cholesky>
+#include <numeric>
 #include <queue>
 #include <utility>
 
@@ -38,8 +39,8 @@ UncertainPose<Pose> LoopGains<Pose>::Displacement(int k) const {
 
 template <class Pose>
 void LoopGains<Pose>::Keep(const std::vector<int>& loops) {
-  std::vector<int> rows;
-  for (int r = 0; r < B; ++r) rows.push_back(r);
+  std::vector<int> rows(B);
+  std::iota(rows.begin(), rows.end(), 0);
   std::vector<Pose> T_loop_n;
   for (const int k : loops) {
     for (int r = 0; r < B; ++r) rows.push_back((k + 1) * B + r);

@@ -132,6 +132,7 @@ template <class Pose>
 void Sample<Pose>::Look(const Pending& pose, const std::vector<Link>& loops) {
   const PoseId id = pose.input->id;
   std::vector<PoseId> linked;
+  linked.reserve(loops.size());
   for (const Link& link : loops) linked.push_back(OtherEnd(id, link.from, link.to));
   LoopGains<Pose> known(marginals_, solver_, root_, pose.T_root_pose, linked);
   std::vector<int> good;

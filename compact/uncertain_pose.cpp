@@ -120,7 +120,7 @@ UncertainPose<Pose> Invert(const UncertainPose<Pose>& ab) {
 template <class Pose>
 UncertainPose<Pose> SeenFrom(PoseId first, const RelativePoseFactor<Pose>& factor) {
   const typename Pose::Jacobian covariance = factor.information.llt().solve(Pose::Jacobian::Identity());
-  const UncertainPose<Pose> measured{factor.T_from_to, (covariance + covariance.transpose()) / 2};
+  UncertainPose<Pose> measured{factor.T_from_to, (covariance + covariance.transpose()) / 2};
   if (first == factor.from) return measured;
   if (first == factor.to) return Invert(measured);
   throw std::invalid_argument("the factor does not touch pose " + std::to_string(first.value));

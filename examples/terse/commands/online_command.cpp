@@ -124,7 +124,8 @@ void Online(OnlineCommandOptions options) {
   }
   std::vector<NamedPath> outputs{{"--journal", options.journal}};
   if (!options.run.directory.empty()) {
-    for (NamedPath& file : FilesIn("--output", options.run.directory, {"compact.g2o", "trajectory.tum", "decisions.csv"})) {
+    for (NamedPath& file :
+         FilesIn("--output", options.run.directory, {"compact.g2o", "trajectory.tum", "decisions.csv"})) {
       outputs.push_back(std::move(file));
     }
   }
@@ -203,7 +204,8 @@ void AddOnlineCommand(CLI::App& app) {
       ->add_option("--output", options->run.directory,
                    "Folder for compact.g2o, trajectory.tum and decisions.csv at the end of the input")
       ->type_name("DIR");
-  AddChoice(*command, "--recover", options->run.recovery, Choices<Recovery>(), "How dropped poses come back, see compact");
+  AddChoice(*command, "--recover", options->run.recovery, Choices<Recovery>(),
+            "How dropped poses come back, see compact");
   command
       ->add_option("--remember", options->remember,
                    "Dropped poses that can still be asked for and linked to: so many of the newest, and those on the "
