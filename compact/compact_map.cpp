@@ -27,7 +27,8 @@ class Inspection {
   explicit Inspection(const CompactMap<Pose>& map) : map_(map) {}
 
   std::string Run() {
-    if (map_.forgotten < 0) return "forgotten: expected 0 or more";
+    if (map_.forgotten < 0 || map_.forgotten > 1000000000) return "forgotten: expected 0 to 1e9";
+    if (map_.forgotten > 0 && map_.poses.empty()) return "forgotten: there are no poses";
     CheckPoses();
     CheckEdges();
     CheckPriors();

@@ -8,6 +8,11 @@
 #include "terse/core/at.h"
 
 namespace terse::internal {
+namespace {
+
+constexpr long kMostForgotten = 2000000000;  // as a count of poses seen
+
+}  // namespace
 
 template <class Pose>
 int PoseHistory<Pose>::IndexOf(PoseId id) const {
@@ -21,7 +26,7 @@ int PoseHistory<Pose>::IndexOf(PoseId id) const {
 
 template <class Pose>
 bool PoseHistory<Pose>::IsForgotten(PoseId id) const {
-  return forgotten_ > 0 && !Has(id) && seen_.front().id < id && id < seen_.back().id;
+  return forgotten_ > 0 && !IsEmpty() && !Has(id) && seen_.front().id < id && id < seen_.back().id;
 }
 
 // Which stretch the pose at a place belongs to.
@@ -272,7 +277,9 @@ void PoseHistory<Pose>::Serialize(Archive& archive) {
 
 template <class Pose>
 std::string PoseHistory<Pose>::FindStateDefect(const PoseGraph<Pose>& kept) const {
-  if (forgotten_ < 0 || size_when_swept_ < 0 || size_when_swept_ > Size()) return "a wrong count of poses forgotten";
+  const bool counts = forgotten_ >= 0 && forgotten_ <= kMostForgotten && (forgotten_ == 0 || !IsEmpty()) &&
+                      size_when_swept_ >= 0 && size_when_swept_ <= Size();
+  if (!counts) return "a wrong count of poses forgotten";
   std::vector<int> successors(seen_.size(), 0);
   for (int at = 0; at < Size(); ++at) {
     const Seen& seen = (*this)[at];

@@ -83,7 +83,7 @@ class JournalFault : public FaultTest {
     EXPECT_GT(whole_.size(), 5u);
   }
   static std::string Online(const std::string& journal, const std::string& output, const std::string& input = "input") {
-    return kCommand + "online --range 3 3 1.5 --min-loop-gain 0.1 --journal " + journal +
+    return kCommand + "online --range 3 3 1.5 --min-loop-gain 0.1 --remember all --journal " + journal +
            (output.empty() ? "" : " --output " + output) + " < " + input;
   }
   // Decisions by pose.
