@@ -85,7 +85,7 @@ void KeptLinks<Pose>::Restore(const typename CompactMap<Pose>::Edge& edge, Facto
   } else {
     AddOdometry(edge.measured.from, edge.measured.to, factor);
   }
-  if (!fuses_ || edge.parts.empty()) return;
+  if (edge.parts.empty()) return;
   auto parts = edge.parts;
   for (auto& part : parts) {
     if (part.id.value >= 0) part.id = factor;

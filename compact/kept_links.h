@@ -59,7 +59,8 @@ class KeptLinks {
   bool fuses_ = false;           // Strategy::kBounded: others may fuse with an edge
   bool fuses_odometry_ = false;  // what a robust kernel may weigh does not become one with what it may not
   std::vector<Link> links_;      // ascending factors
-  FusedEdges<Pose> fused_;       // what joins kept poses, so that others can fuse with it; empty unless fuses_
+  // What joins kept poses, so that others can fuse with it; unless fuses_ only edges that came in several parts.
+  FusedEdges<Pose> fused_;
 };
 
 }  // namespace terse::internal

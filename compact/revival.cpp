@@ -28,6 +28,22 @@ void ReviveEdges(const Revival<Pose>& revival, const std::vector<FactorId>& ids,
   }
 }
 
+// Whether the odometry between kept poses is what the chain between them measures, and no more: poses that retired
+// (retire_poses.h) leave some that is more, and that what they knew of others hangs together with.
+template <class Pose>
+bool IsChainAlone(const UncertainPose<Pose>& T_base_next, const Revival<Pose>& revival,
+                  const CompactParts<Pose>& parts) {
+  const auto& factor = parts.map.Solver().Graph().FindFactor(revival.replaced)->factor;
+  UncertainPose<Pose> odometry = SeenFrom(revival.base, std::get<RelativePoseFactor<Pose>>(factor));
+  if (const auto* edge = FusedWithReplaced(revival, parts.links)) {
+    const UncertainPose<Pose>& first = edge->parts.front().T_from_to;
+    odometry = FusedEdges<Pose>::Ordered(revival.base, *revival.next).first == revival.base ? first : Invert(first);
+  }
+  const auto chain =
+      SeenFrom(revival.base, Measurement(revival.base, *revival.next, T_base_next, parts.options.composition));
+  return (odometry.covariance - chain.covariance).norm() <= 1e-6 * chain.covariance.norm();
+}
+
 }  // namespace
 
 template <class Pose>
@@ -51,7 +67,9 @@ std::optional<Revival<Pose>> PlanRevival(PoseId dropped, const CompactParts<Pose
   if (!joins || next.parent < 0) return std::nullopt;
   const PoseId newest = history[next.parent].id;
   if (!history.IsPlainChain(dropped, newest, 1)) return std::nullopt;
-  return Revival<Pose>{dropped, seen.base, seen.T_base_pose, *behind, seen.next_kept, next.odometry, newest};
+  Revival<Pose> revival{dropped, seen.base, seen.T_base_pose, *behind, seen.next_kept, next.odometry, newest};
+  if (!IsChainAlone(seen.T_base_next, revival, parts)) return std::nullopt;
+  return revival;
 }
 
 template <class Pose>

@@ -495,6 +495,28 @@ TEST_F(CompactCommand, LostLoopsAreToldWithTheCause) {
   EXPECT_EQ(Succeed("compact in.g2o --strategy apal --output out --min-loop-gain 1e9").err, "") << "takes all";
 }
 
+TEST_F(CompactCommand, PosesRetire) {
+  MakeScene("manhattan");
+  Succeed("compact in.g2o --strategy apal --output all");
+  const auto before = JsonFile("all/stats.json");
+  EXPECT_FALSE(before.contains("poses_retired"));
+  const std::string range = " --range 10 10 3.2 --min-pose-gain 1000 --min-loop-gain 1";
+  const Outcome outcome = Succeed("compact in.g2o --strategy apal --retire 2 --output few" + range);
+  const auto stats = JsonFile("few/stats.json");
+  const long retired = stats["poses_retired"].get<long>();
+  EXPECT_GT(retired, 0);
+  EXPECT_EQ(stats["poses_kept"].get<long>() + retired, before["poses_kept"].get<long>());
+  EXPECT_GE(stats["retired_loss_nats"].get<double>(), 0);
+  EXPECT_NE(outcome.out.find(std::to_string(retired) + " poses retired"), std::string::npos) << outcome.out;
+  EXPECT_EQ(ReadAs<SE2>("few/compact.g2o").Poses().size(), stats["poses_kept"].get<std::size_t>());
+  EXPECT_EQ(ReadTrajectory((folder_ / "few/trajectory.tum").string()).stamps.size(),
+            before["poses"].get<std::size_t>());
+  // All that is there has been seen: the map stays, and more may retire from it.
+  Succeed("compact in.g2o --continue few --retire 50 --output fewer --quiet" + range);
+  EXPECT_LE(JsonFile("fewer/stats.json")["poses_kept"].get<long>(), stats["poses_kept"].get<long>());
+  ExpectFailure("compact in.g2o --retire -1 --output out", 2, "--retire");
+}
+
 TEST_F(CompactCommand, OptionsThatContradictEachOther) {
   MakeScene("manhattan");
   Succeed("compact in.g2o --strategy fpfl --quiet --output a");

@@ -51,6 +51,7 @@ struct CompactCommandOptions {
   bool calibrate = true;
   int max_registrations = CompactOptions<SE3>().max_registrations;
   Record record = Record::kCandidates;
+  std::optional<double> retire;  // nats that the removal of a pose may lose
   bool quiet = false;
   LogSink log;
 };
@@ -252,11 +253,13 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   StepRecorder<Pose> recorder(static_cast<int>(replay.Inputs().size()), known);
   CompactPoseSlam<Pose> slam = StartFrom(before.map, settings, options);
   const int links_before = slam.LinksKept();
-  const CompactRun<Pose> run = RunWithProgress<Pose>(
+  CompactRun<Pose> run = RunWithProgress<Pose>(
       std::move(slam), replay, "poses", options.quiet,
       [&](const CompactPoseSlam<Pose>& now, const Decision& decision, double s) { recorder.Add(now, decision, s); });
+  const auto retired = options.retire ? std::optional<RetiredCounts>(RetireFrom(run, *options.retire)) : std::nullopt;
   const RunTrajectories trajectories = MakeRunTrajectories(run.slam, options.recovery, known);
   Stats stats = MakeStats(graph, run, EvaluateRun(trajectories, Pose::kDim));
+  AddTo(stats.more, retired);
   stats.more["information"] = calibrated.report;
   if (!sample.is_null()) stats.more["sample"] = sample;
   if (!seen.empty()) {
@@ -277,7 +280,7 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
   if (!options.quiet) {
-    PrintSummary(stats, Describe(CountComposed(run.slam)), options);
+    PrintSummary(stats, Describe(CountComposed(run.slam)) + Describe(retired), options);
     WarnOfLostLoops(stats, options);
   }
   const std::string undetermined = run.slam.Solver().DescribeUndetermined();
@@ -383,6 +386,13 @@ void AddMethodOptions(CLI::App& command, CompactCommandOptions& options) {
       command, "--record", options.record, Choices<Record>(),
       "What decisions.csv and decisions.jsonl keep of the search at every pose: counts, the links that were tried, "
       "or the best of those not tried too");
+  command
+      .add_option(
+          "--retire", options.retire,
+          "After the run poses retire where the map is denser than needed: those are marginalised whose removal "
+          "loses no more than this (nats)")
+      ->check(NonNegativeNumber())
+      ->type_name("NATS");
   AddInnovationOptions(command, options.innovation_quantile);
   AddRobustOptions(command, options.robust);
   AddChoice(command, "--composition", options.composition, Choices<CompositionOrder>(),

@@ -1,6 +1,10 @@
 #include "run/compact_stats.h"
 
+#include <cstdio>
+
 #include "terse/compact/compact_json.h"
+#include "terse/compact/retire_poses.h"
+#include "terse/core/require_optimum.h"
 
 namespace terse {
 
@@ -34,6 +38,37 @@ std::string Describe(const std::optional<ComposedCounts>& counts) {
   return of(counts->anchored, "pose was", "poses were") + " found again at kept poses (anchored); " +
          of(counts->edges, "edge holds ", "edges hold ") + of(counts->measurements, "measurement", "measurements") +
          " composed of links, " + of(counts->fused, "edge is", "edges are") + " fused of several\n";
+}
+
+template <class Pose>
+RetiredCounts RetireFrom(CompactRun<Pose>& run, double most_loss) {
+  const CompactOptions<Pose> options = run.slam.Options();
+  RetireOptions retire;
+  retire.most_loss = most_loss;
+  retire.only_odometry = options.solver.robust.kernel != RobustKernel::kNone;
+  const Retired<Pose> retired = RetirePoses(run.slam.Export(), options, retire);
+  RetiredCounts counts;
+  counts.poses = static_cast<long>(retired.poses.size());
+  for (const RetiredPose& pose : retired.poses) counts.loss += pose.loss;
+  if (counts.poses == 0) return counts;
+  run.slam = CompactPoseSlam<Pose>::Restore(retired.map, options);
+  run.result = run.slam.Finish();
+  RequireOptimum(run.result);
+  return counts;
+}
+
+void AddTo(nlohmann::ordered_json& stats, const std::optional<RetiredCounts>& counts) {
+  if (!counts) return;
+  stats["poses_retired"] = counts->poses;
+  stats["retired_loss_nats"] = counts->loss;
+}
+
+std::string Describe(const std::optional<RetiredCounts>& counts) {
+  if (!counts) return "";
+  char line[120];
+  std::snprintf(line, sizeof(line), "%ld %s retired; their removal lost %.3g nats\n", counts->poses,
+                counts->poses == 1 ? "pose" : "poses", counts->loss);
+  return line;
 }
 
 template <class Pose>
@@ -72,6 +107,8 @@ Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const
 
 template std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<SE2>&);
 template std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<SE3>&);
+template RetiredCounts RetireFrom(CompactRun<SE2>&, double);
+template RetiredCounts RetireFrom(CompactRun<SE3>&, double);
 template Stats MakeStats<SE2>(const PoseGraph<SE2>&, const CompactRun<SE2>&, const std::optional<Evaluation>&);
 template Stats MakeStats<SE3>(const PoseGraph<SE3>&, const CompactRun<SE3>&, const std::optional<Evaluation>&);
 

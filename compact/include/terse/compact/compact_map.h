@@ -51,7 +51,9 @@ struct CompactMap {
     bool is_loop = false;        // a link beside the odometry
     PoseId added_at;             // the pose at whose step it came in
     std::optional<double> gain;  // nats; of links that were tested
-    // Odometry over dropped poses: those whose measurements were concatenated, from kept pose to kept pose. Else empty.
+    // Odometry over dropped poses: those whose measurements were concatenated, from kept pose to kept pose. Of a link
+    // that a pose left which retired (retire_poses.h), in what RetirePoses returns: the pose between its ends; a run
+    // that continues has it in `parts`, as what links of that pose compose. Else empty.
     std::vector<PoseId> composed_of;
     // Where several measurements make the edge, or links composed it: these, oldest first. Else empty.
     std::vector<Part> parts;
