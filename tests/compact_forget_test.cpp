@@ -24,7 +24,7 @@ TYPED_TEST_SUITE(CompactForgetTest, Groups);
 
 LapsOptions ManyLaps() {
   LapsOptions options;
-  options.laps = kSlowBuild ? 6 : 20;
+  options.laps = 20;
   return options;
 }
 
@@ -58,9 +58,7 @@ TYPED_TEST(CompactForgetTest, MemoryIsThatOfTheMap) {
     EXPECT_EQ(slam.PosesSeen(), seen);
     // Two laps, along which kept poses hang together, and the newest 40; and half as many again until the next look.
     EXPECT_LE(most, 1.5 * (2 * 30 + 40) + 2);
-    if (!kSlowBuild) {
-      EXPECT_LT(most, 0.3 * seen);
-    }
+    EXPECT_LT(most, 0.3 * seen);
     EXPECT_GT(forgotten_loops, 20);
     int remembered = 0;
     for (const auto& input : laps.replay.Inputs()) {

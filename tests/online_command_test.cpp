@@ -9,7 +9,6 @@
 #include <random>
 #include <set>
 
-#include "slow_build.h"
 #include "terse/compact/measurement_stream.h"
 #include "terse/core/measurement_line.h"
 #include "testing_command.h"
@@ -522,7 +521,7 @@ TEST_F(OnlineCommand, SurvivesKills) {
 // The journal of a run without an end begins anew, beside a snapshot; killed at any moment the run goes on from the
 // two.
 TEST_F(OnlineCommand, SurvivesKillsWhileTheJournalBeginsAnew) {
-  const int kills = terse::kSlowBuild ? 10 : 30;
+  constexpr int kKills = 30;
   const auto lines = Measurements(150);
   std::map<std::string, json> expected;
   for (const json& answer : Answers(Join(lines, 0, lines.size()), kOptions + "--output whole")) {
@@ -532,7 +531,7 @@ TEST_F(OnlineCommand, SurvivesKillsWhileTheJournalBeginsAnew) {
   const std::string arguments = kOptions + "--remember all --journal journal --journal-size 0.002";
   std::size_t next = 0;
   std::set<std::string> snapshots;
-  for (int round = 0; round < kills; ++round) {
+  for (int round = 0; round < kKills; ++round) {
     const bool resumes = Exists("journal");
     Child child(folder_.string(), arguments);
     if (resumes) {
