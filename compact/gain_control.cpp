@@ -37,25 +37,6 @@ Vector<3> PositionInSpace(const Pose& T_world_body) {
 
 }  // namespace
 
-template <class Archive>
-void EnteredCells::Serialize(Archive& archive) {
-  auto& [origin, cell_m, entered] = *this;
-  archive(origin, cell_m);
-  std::vector<Vector<3>> list;
-  list.reserve(entered.size());
-  for (const Cell& cell : entered) list.emplace_back(cell[0], cell[1], cell[2]);
-  archive(list);
-  if constexpr (Archive::kReads) {
-    entered.clear();
-    for (const Vector<3>& cell : list) {
-      if (!cell.allFinite() || cell.array().round().matrix() != cell ||
-          !entered.insert({cell[0], cell[1], cell[2]}).second)
-        archive.Fail("a cell that is none");
-    }
-    if (!origin.allFinite() || !(cell_m > 0)) archive.Fail("cells without a size");
-  }
-}
-
 template <class Pose>
 void GainControl<Pose>::Start(const CompactOptions<Pose>& options) {
   *this = GainControl();

@@ -122,7 +122,7 @@ void PoseHistory<Pose>::Erase(const std::vector<bool>& stays) {
     seen.successors = 0;
     index_[seen.id.value] = place[at];
     if (seen.parent >= 0) ++Mutable(seen.parent).successors;  // moved already
-    if (place[At(static_cast<int>(at))] != static_cast<int>(at)) seen_[At(place[at])] = std::move(seen);
+    if (At(place[at]) != at) seen_[At(place[at])] = std::move(seen);
   }
   forgotten_ += static_cast<long>(seen_.size()) - next;
   seen_.resize(At(next));

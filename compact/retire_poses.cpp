@@ -122,6 +122,7 @@ class Retirement {
     }
   }
 
+  bool HasFewNeighbours(PoseId pose) const;
   std::optional<Plan> MakePlan(PoseId pose) const;
   bool FindOdometry(Plan& plan) const;
   bool IsKnownWell(const Plan& plan) const;
@@ -185,12 +186,24 @@ bool Retirement<Pose>::IsKnownWell(const Plan& plan) const {
   });
 }
 
+// Asked of every neighbour of a pose that retires, so not at the price of a hub's degree.
+template <class Pose>
+bool Retirement<Pose>::HasFewNeighbours(PoseId pose) const {
+  std::set<PoseId> neighbours;
+  for (const FactorId factor : factors_at_.at(pose)) {
+    neighbours.insert(OtherEnd(pose, edges_.at(factor)));
+    if (static_cast<int>(neighbours.size()) > retire_.most_neighbours) return false;
+  }
+  return true;
+}
+
 // Absent if the pose may not retire.
 template <class Pose>
 std::optional<typename Retirement<Pose>::Plan> Retirement<Pose>::MakePlan(PoseId pose) const {
   Plan plan;
   plan.pose = pose;
-  if (stays_.count(pose) != 0 || factors_at_.count(pose) == 0 || !FindOdometry(plan)) return std::nullopt;
+  if (stays_.count(pose) != 0 || factors_at_.count(pose) == 0 || !HasFewNeighbours(pose)) return std::nullopt;
+  if (!FindOdometry(plan)) return std::nullopt;
   if (retire_.only_odometry && !plan.is_odometry_alone) return std::nullopt;
   std::vector<internal::Arm<Pose>> arms;
   const Pose T_pose_world = Estimate(pose).Inverse();
@@ -199,7 +212,6 @@ std::optional<typename Retirement<Pose>::Plan> Retirement<Pose>::MakePlan(PoseId
     const PoseId other = OtherEnd(pose, edge);
     auto at = std::find(plan.neighbours.begin(), plan.neighbours.end(), other) - plan.neighbours.begin();
     if (At(static_cast<int>(at)) == plan.neighbours.size()) {
-      if (at == retire_.most_neighbours) return std::nullopt;
       plan.neighbours.push_back(other);
       arms.emplace_back(T_pose_world * Estimate(other));
     }
@@ -288,8 +300,13 @@ typename Retirement<Pose>::Edge Retirement<Pose>::MakeEdge(const Plan& plan, con
 template <class Pose>
 void Retirement<Pose>::FuseWithOther(Edge& edge, PoseId through) {
   const PoseId a = edge.measured.from, b = edge.measured.to;
-  const auto joins = [&](FactorId factor) { return OtherEnd(a, edges_.at(factor)) == b; };
-  auto& factors = factors_at_[a];
+  // Looked for at the one of fewer factors.
+  const auto& [few, other_end] = factors_at_[a].size() <= factors_at_[b].size() ? std::pair<PoseId, PoseId>(a, b)
+                                                                                : std::pair<PoseId, PoseId>(b, a);
+  const auto joins = [few = few, other_end = other_end, this](FactorId factor) {
+    return OtherEnd(few, edges_.at(factor)) == other_end;
+  };
+  const auto& factors = factors_at_[few];
   const auto found = std::find_if(factors.begin(), factors.end(), joins);
   if (found == factors.end()) return;
   Edge other = TakeEdge(*found);

@@ -103,10 +103,23 @@ void RetiredChains<Pose>::MoveEnds(PoseId pose, PoseId base, const UncertainPose
   const std::vector<size_t> ended = std::move(ending_[pose.value]);
   ending_.erase(pose.value);
   const std::vector<size_t> way = DroppedBefore(Place(pose));
+  std::unordered_map<size_t, bool> known;  // poses of one chain ask for the same
+  for (const size_t at : way) known[at] = true;
   const auto shares_way = [&](size_t at) {
-    if (std::find(way.begin(), way.end(), at) != way.end()) return true;
-    const std::vector<size_t> chain = DroppedBefore(at);
-    return std::find_first_of(chain.begin(), chain.end(), way.begin(), way.end()) != chain.end();
+    std::vector<size_t> asked;
+    bool shares = false;
+    while (true) {
+      if (const auto it = known.find(at); it != known.end()) {
+        shares = it->second;
+        break;
+      }
+      asked.push_back(at);
+      const auto parent = ParentOf(poses_[at]);
+      if (!parent || Find(*parent).kept) break;
+      at = Place(*parent);
+    }
+    for (const size_t each : asked) known[each] = shares;
+    return shares;
   };
   const UncertainPose<Pose> T_pose_base = Invert(T_base_pose);
   for (const size_t at : ended) {

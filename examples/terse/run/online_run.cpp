@@ -250,6 +250,7 @@ class OnlineRun {
       if (stream_.Open() == id) {
         throw FileError(kSource, number, "pose " + word + " is not closed yet; a blank line or FLUSH closes it");
       }
+      if (slam_.HasForgotten(id)) throw FileError(kSource, number, "pose " + word + " is forgotten (--remember)");
       if (!slam_.HasSeen(id)) throw FileError(kSource, number, "pose " + word + " is unknown");
       poses.push_back(id);
     }

@@ -23,7 +23,7 @@ class EnteredCells {
   double AreaM2() const { return static_cast<double>(Count()) * cell_m_ * cell_m_; }
 
   template <class Archive>
-  void Serialize(Archive& archive);  // in compact/gain_control.cpp
+  void Serialize(Archive& archive);  // core/state_file.h
 
  private:
   using Cell = std::array<double, 3>;  // whole numbers, as large as positions get
