@@ -35,7 +35,7 @@ std::vector<Decision> AddPoses(CompactPoseSlam<Pose>& slam, const GraphReplay<Po
 template <class Pose>
 CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay,
                             const AfterStep<Pose>& after_step) {
-  CompactRun<Pose> run{std::move(slam), {}, {}, replay.LinksOffered(), 0, 0, {}, {}};
+  CompactRun<Pose> run{std::move(slam), {}, {}, replay.LinksOffered(), 0, 0, {}, {}, {}};
   run.decisions = AddPoses<Pose>(run.slam, replay, [&](const Decision& decision, double seconds) {
     run.step_seconds.push_back(seconds);
     run.links_refused += decision.links_refused;
@@ -43,6 +43,7 @@ CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>&
     if (after_step) after_step(run.slam, decision, seconds);
     return true;
   });
+  run.retired = run.slam.Retire();
   run.result = run.slam.Finish();
   RequireOptimum(run.result);
   return run;

@@ -1,6 +1,7 @@
 #include "compact_parts.h"
 
 #include <Eigen/Cholesky>
+#include <cmath>
 #include <stdexcept>
 
 #include "terse/compact/state_members.h"
@@ -37,6 +38,8 @@ void CheckOptions(const CompactOptions<Pose>& o) {
   Require(!o.most_dropped || *o.most_dropped >= 1, "at least one dropped pose has to be remembered");
   Require(o.most_recorded >= 0, "no less than 0 candidates can be recorded");
   Require(o.min_variance_drop >= 0 && o.min_variance_drop < 1, "the share of the variance must be in [0, 1)");
+  Require(o.retire_share >= 0 && std::isfinite(o.retire_share),
+          "the share of a retiring pose's loss must be 0 or more");
   Require(o.consensus >= 2, "a consensus takes at least two links");
   Require(o.distance.view_axis.norm() > 0 && o.distance.view_axis.allFinite(), "the view axis is zero or not finite");
 }
@@ -73,7 +76,7 @@ template <class Archive>
 void CompactParts<Pose>::Serialize(Archive& archive) {
   archive(options);
   if constexpr (Archive::kReads) TakeOptions(options);
-  archive(map, gains, links, history);
+  archive(map, gains, links, history, poses_after_retiring);
   links.SerializeEdges(archive);
   archive(tests);
   if constexpr (Archive::kReads) {

@@ -30,6 +30,7 @@ struct CompactParts {
   PoseHistory<Pose> history;
   KeptLinks<Pose> links;
   CandidateSearch<Pose> search{options, map};
+  int poses_after_retiring = 0;  // that were kept when poses last retired (retiring.h)
   LinkTests<Pose> tests{options, map, history};
   AlignedVariance<Pose> variance{map.Solver(), map.Marginals()};
 };

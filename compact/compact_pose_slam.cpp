@@ -8,6 +8,7 @@
 #include "map_exchange.h"
 #include "pose_recovery.h"
 #include "pose_step.h"
+#include "retiring.h"
 #include "terse/compact/information.h"
 #include "terse/compact/state_members.h"
 #include "terse/core/log_message.h"
@@ -72,6 +73,7 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   }
   internal::Remember(current, parts.history);
   internal::FollowBudget(current, decision, counts_loops ? &seen : nullptr, parts);
+  decision.retired = internal::RetireIfDue(parts);
   if (parts.options.most_dropped) parts.history.Forget(*parts.options.most_dropped);
   parts.tests.DropOldest();
   internal::LogVerdict(decision, parts);
@@ -129,6 +131,16 @@ FactorId CompactPoseSlam<Pose>::AddPrior(const Factor<Pose>& prior) {
   update.factors.push_back(
       internal::CarryPriorToKept(prior, parts.history, parts.map.Solver(), parts.options.composition));
   return parts.map.Update(update).factor_ids.front();
+}
+
+template <class Pose>
+std::vector<RetiredPose> CompactPoseSlam<Pose>::Retire() {
+  return internal::RetireByShare(*parts_);
+}
+
+template <class Pose>
+std::vector<RetiredPose> CompactPoseSlam<Pose>::Retire(double most_loss) {
+  return internal::Retire(most_loss, *parts_);
 }
 
 template <class Pose>

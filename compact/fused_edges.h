@@ -39,6 +39,7 @@ class FusedEdges {
 
   // For measurements that never were a factor of their own: below -1, which no factor's is.
   FactorId NewPartId() { return {next_part_--}; }
+  FactorId NextPartId() const { return {next_part_}; }
   // Behind a part of another run, so that its id stays its own.
   void Reserve(FactorId part) { next_part_ = std::min(next_part_, part.value - 1); }
 

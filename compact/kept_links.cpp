@@ -77,7 +77,15 @@ void KeptLinks<Pose>::Export(typename CompactMap<Pose>::Edge& edge) const {
   if (fused != nullptr && fused->factor == edge.factor) edge.parts = fused->parts;
 }
 
-// A part that was a factor itself has the id of the edge from now on: no other has it.
+template <class Pose>
+void KeptLinks<Pose>::Clear() {
+  const FactorId last = {NextPartId().value + 1};
+  links_.clear();
+  fused_ = {};
+  fused_.Reserve(last);
+}
+
+// Of an edge that is numbered anew a part that was a factor itself has the id: no other has it.
 template <class Pose>
 void KeptLinks<Pose>::Restore(const typename CompactMap<Pose>::Edge& edge, FactorId factor) {
   if (edge.is_loop) {
@@ -88,7 +96,7 @@ void KeptLinks<Pose>::Restore(const typename CompactMap<Pose>::Edge& edge, Facto
   if (edge.parts.empty()) return;
   auto parts = edge.parts;
   for (auto& part : parts) {
-    if (part.id.value >= 0) part.id = factor;
+    if (part.id.value >= 0 && factor != edge.factor) part.id = factor;
     fused_.Reserve(part.id);
   }
   fused_.Set(fused_.Ordered(edge.measured.from, edge.measured.to), {factor, !edge.is_loop, std::move(parts)});

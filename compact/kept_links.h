@@ -34,6 +34,7 @@ class KeptLinks {
   void AddOdometry(PoseId from, PoseId to, FactorId factor);
   void SetGain(FactorId link, double gain);
   FactorId NewPartId() { return fused_.NewPartId(); }
+  FactorId NextPartId() const { return fused_.NextPartId(); }
   // An edge whose parts have changed, with its factor as it was before and as it is from now on; `added_at` if it was
   // no link before.
   void SetEdge(const Ends& ends, Edge edge, FactorId factor, PoseId added_at);
@@ -44,6 +45,8 @@ class KeptLinks {
   // of the new factors.
   void Export(typename CompactMap<Pose>::Edge& edge) const;
   void Restore(const typename CompactMap<Pose>::Edge& edge, FactorId factor);
+  // Nothing is kept any more. Ids of parts go on.
+  void Clear();
 
   // The links alone; the edges come apart.
   template <class Archive>

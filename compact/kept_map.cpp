@@ -8,12 +8,12 @@ namespace terse::internal {
 template <class Pose>
 UncertainPose<Pose> KeptMap<Pose>::Between(PoseId a, PoseId b) const {
   if (a == b) return {};
-  return {solver_.Estimate(a).Inverse() * solver_.Estimate(b), marginals_.Relative(a, b)};
+  return {solver_.Estimate(a).Inverse() * solver_.Estimate(b), marginals_->Relative(a, b)};
 }
 
 template <class Pose>
 void KeptMap<Pose>::UpdateCovariances() {
-  if (keeps_covariances_) marginals_.Update();
+  if (keeps_covariances_) marginals_->Update();
 }
 
 template <class Pose>
@@ -32,11 +32,13 @@ BatchResult<Pose> KeptMap<Pose>::Finish() {
 
 template <class Pose>
 StepReport KeptMap<Pose>::Restore(const GraphUpdate<Pose>& update, const std::vector<Pose>& T_world_body) {
-  StepReport report = solver_.Update(update);
+  IncrementalSolver<Pose> fresh(solver_.Options());
+  StepReport report = fresh.Update(update);
   // Not from the solver's estimates: with its gate closed it has placed all poses one after the other, as new ones.
-  const BatchResult<Pose> result = solver_.FinishFrom(T_world_body);
+  RequireOptimum(fresh.FinishFrom(T_world_body));
+  solver_ = std::move(fresh);
+  marginals_.emplace(solver_);
   UpdateCovariances();
-  RequireOptimum(result);
   return report;
 }
 
@@ -44,7 +46,7 @@ template <class Pose>
 template <class Archive>
 void KeptMap<Pose>::Serialize(Archive& archive) {
   auto& [solver, marginals, keeps_covariances] = *this;
-  archive(solver, marginals, keeps_covariances);
+  archive(solver, *marginals, keeps_covariances);
 }
 
 #define TERSE_INSTANTIATE(Pose)                         \

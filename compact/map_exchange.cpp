@@ -32,6 +32,57 @@ std::vector<Arriving<Pose>> InOrder(const CompactMap<Pose>& map) {
   return order;
 }
 
+template <class Pose>
+std::vector<Pose> ValuesOfKept(const CompactMap<Pose>& map) {
+  std::vector<Pose> values;
+  for (const auto& pose : map.poses) {
+    if (pose.kept) values.push_back(pose.T_world_body);
+  }
+  return values;
+}
+
+template <class Pose>
+GraphUpdate<Pose> AsUpdate(const CompactMap<Pose>& map, const std::vector<Arriving<Pose>>& order, bool keeps_ids) {
+  GraphUpdate<Pose> update;
+  std::unordered_map<std::int64_t, size_t> place;  // in the update
+  for (const auto& pose : map.poses) {
+    if (!pose.kept) continue;
+    place[pose.id.value] = update.poses.size();
+    update.poses.push_back({pose.id, pose.T_world_body, false});
+  }
+  for (const auto& fixed : map.fixed) {
+    update.poses[place.at(fixed.pose.value)] = {fixed.pose, fixed.T_world_body, true};
+  }
+  for (const Arriving<Pose>& factor : order) {
+    if (factor.edge != nullptr && !factor.edge->is_loop) update.odometry.push_back(update.factors.size());
+    update.factors.push_back(factor.measured);
+    if (keeps_ids) update.factor_ids.push_back(factor.factor);
+  }
+  return update;
+}
+
+// The map itself first: it alone may fail.
+template <class Pose>
+void PutIn(const CompactMap<Pose>& map, bool keeps_ids, CompactParts<Pose>& parts) {
+  const std::vector<Arriving<Pose>> order = InOrder(map);
+  std::vector<FactorId> ids;
+  if (!map.poses.empty()) ids = parts.map.Restore(AsUpdate(map, order, keeps_ids), ValuesOfKept(map)).factor_ids;
+  PoseHistory<Pose> history;
+  history.Restore(map.poses, map.forgotten);
+  parts.history = std::move(history);
+  parts.tests.Restore(map);
+  parts.links.Clear();
+  parts.search.Forget();
+  parts.variance.Forget();
+  for (size_t k = 0; k < order.size(); ++k) {
+    const Edge<Pose>* edge = order[k].edge;
+    if (edge == nullptr) continue;
+    parts.links.Restore(*edge, ids[k]);
+    if (edge->is_loop) continue;
+    parts.history.SetOdometry(parts.history.NewerOf(edge->measured.from, edge->measured.to), ids[k]);
+  }
+}
+
 }  // namespace
 
 template <class Pose>
@@ -71,42 +122,21 @@ template <class Pose>
 void RestoreMap(const CompactMap<Pose>& map, CompactParts<Pose>& parts) {
   const std::string defect = FindDefect(map);
   if (!defect.empty()) throw std::invalid_argument(defect);
-  parts.history.Restore(map.poses, map.forgotten);
-  parts.tests.Restore(map);
-  if (map.poses.empty()) return;
-  GraphUpdate<Pose> update;
+  PutIn(map, false, parts);
   std::vector<Pose> T_world_body;
-  std::unordered_map<std::int64_t, size_t> place;  // in the update
-  for (const auto& pose : map.poses) {
-    if (!pose.kept) continue;
-    place[pose.id.value] = update.poses.size();
-    update.poses.push_back({pose.id, pose.T_world_body, false});
-    T_world_body.push_back(pose.T_world_body);
-  }
-  for (const auto& fixed : map.fixed) {
-    update.poses[place.at(fixed.pose.value)] = {fixed.pose, fixed.T_world_body, true};
-  }
-  const std::vector<Arriving<Pose>> order = InOrder(map);
-  for (const Arriving<Pose>& factor : order) {
-    if (factor.edge != nullptr && !factor.edge->is_loop) update.odometry.push_back(update.factors.size());
-    update.factors.push_back(factor.measured);
-  }
-  const StepReport report = parts.map.Restore(update, T_world_body);
-  for (size_t k = 0; k < order.size(); ++k) {
-    const Edge<Pose>* edge = order[k].edge;
-    if (edge == nullptr) continue;
-    parts.links.Restore(*edge, report.factor_ids[k]);
-    if (edge->is_loop) continue;
-    parts.history.SetOdometry(parts.history.NewerOf(edge->measured.from, edge->measured.to), report.factor_ids[k]);
-  }
-  T_world_body.clear();
   for (const auto& pose : map.poses) T_world_body.push_back(pose.T_world_body);
-  parts.gains.Resume(parts.options, parts.map.Poses(), parts.links.Size(), T_world_body);
+  if (!map.poses.empty()) parts.gains.Resume(parts.options, parts.map.Poses(), parts.links.Size(), T_world_body);
+}
+
+template <class Pose>
+void ReplaceMap(const CompactMap<Pose>& map, CompactParts<Pose>& parts) {
+  PutIn(map, true, parts);
 }
 
 #define TERSE_INSTANTIATE(Pose)                                             \
   template CompactMap<Pose> ExportMap(const CompactParts<Pose>&, Recovery); \
-  template void RestoreMap(const CompactMap<Pose>&, CompactParts<Pose>&);
+  template void RestoreMap(const CompactMap<Pose>&, CompactParts<Pose>&);   \
+  template void ReplaceMap(const CompactMap<Pose>&, CompactParts<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -14,4 +14,9 @@ CompactMap<Pose> ExportMap(const CompactParts<Pose>& parts, Recovery recovery);
 template <class Pose>
 void RestoreMap(const CompactMap<Pose>& map, CompactParts<Pose>& parts);
 
+// A map made of the run's own in its place. Factors keep their ids, thresholds in force stay. Throws as RestoreMap, and
+// changes nothing.
+template <class Pose>
+void ReplaceMap(const CompactMap<Pose>& map, CompactParts<Pose>& parts);
+
 }  // namespace terse::internal

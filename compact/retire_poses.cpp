@@ -50,6 +50,8 @@ class Retirement {
         graph_(GraphOf(map)),
         marginals_(graph_, ValuesOf(graph_)),
         chains_(map_.poses, options.composition) {
+    next_factor_ = retire.first_factor.value;
+    next_part_ = retire.first_part.value;
     for (const auto& edge : map.edges) AddEdge(edge);
     for (const auto& prior : map.priors) {
       next_factor_ = std::max(next_factor_, prior.factor.value + 1);
@@ -127,6 +129,7 @@ class Retirement {
   bool FindOdometry(Plan& plan) const;
   bool IsKnownWell(const Plan& plan) const;
   UncertainPose<Pose> OdometryTo(PoseId kept, FactorId factor) const;
+  UncertainPose<Pose> Between(PoseId a, PoseId b) const;
   void Retire(const Plan& plan);
   Edge MakeEdge(const Plan& plan, const internal::TreeFactor<Pose>& factor, const std::map<PoseId, long>& measurements);
   void FuseWithOther(Edge& edge, PoseId through);
@@ -178,8 +181,7 @@ template <class Pose>
 bool Retirement<Pose>::IsKnownWell(const Plan& plan) const {
   const Thresholds<Pose>& thresholds = options_.thresholds;
   return std::any_of(plan.neighbours.begin(), plan.neighbours.end(), [&](PoseId neighbour) {
-    const UncertainPose<Pose> known{Estimate(neighbour).Inverse() * Estimate(plan.pose),
-                                    marginals_.Relative(neighbour, plan.pose)};
+    const UncertainPose<Pose> known = Between(neighbour, plan.pose);
     const auto displacement = ComputeDisplacement<Pose>(known, options_.distance);
     return RangeProbabilities<Pose>(displacement, thresholds.range).minCoeff() > thresholds.probability &&
            InformationGain<Pose::kDof>(known.covariance, thresholds.link_covariance) <= thresholds.min_pose_gain;
@@ -243,10 +245,19 @@ UncertainPose<Pose> Retirement<Pose>::OdometryTo(PoseId kept, FactorId factor) c
 }
 
 template <class Pose>
+UncertainPose<Pose> Retirement<Pose>::Between(PoseId a, PoseId b) const {
+  return {Estimate(a).Inverse() * Estimate(b), marginals_.Relative(a, b)};
+}
+
+template <class Pose>
 void Retirement<Pose>::Retire(const Plan& plan) {
-  const UncertainPose<Pose> T_before_pose = OdometryTo(plan.pose, plan.odometry);
+  const bool alone = plan.is_odometry_alone;
+  const UncertainPose<Pose> T_before_pose =
+      alone ? OdometryTo(plan.pose, plan.odometry) : Between(plan.before, plan.pose);
   std::optional<typename internal::RetiredChains<Pose>::Next> next;
-  if (plan.after) next = {*plan.after, OdometryTo(*plan.after, plan.odometry_after)};
+  if (plan.after) {
+    next = {*plan.after, alone ? OdometryTo(*plan.after, plan.odometry_after) : Between(plan.pose, *plan.after)};
+  }
   RetiredPose retired{plan.pose, plan.tree.loss, static_cast<int>(plan.neighbours.size()), 0,
                       static_cast<int>(plan.tree.factors.size())};
   std::map<PoseId, long> measurements;  // that joined the pose to its neighbours
@@ -264,7 +275,7 @@ void Retirement<Pose>::Retire(const Plan& plan) {
     FuseWithOther(edge, plan.pose);
     AddEdge(std::move(edge));
   }
-  chains_.Drop(plan.pose, plan.before, T_before_pose, next, !plan.is_odometry_alone);
+  chains_.Drop(plan.pose, plan.before, T_before_pose, next, !alone);
   MoveRefused(plan, T_before_pose);
   Forget(plan.pose);
   retired_.push_back(retired);

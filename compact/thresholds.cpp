@@ -11,8 +11,8 @@ namespace terse {
 namespace {
 
 // Per degree of freedom; thresholds.h says why.
-constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.9;
-constexpr double kRareLoopGain = 0.02, kManyLoops = 0.5;
+constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.9, kBoundedLoopGain = 0.425;
+constexpr double kRareLoopGain = 0.02, kManyLoops = 0.5, kRareness = 1.5;
 constexpr double kPoseToLoop = 0.9;
 
 // Of a longer run the beginning stands for the whole: the sample's map holds all poses up to the last looked at.
@@ -67,11 +67,12 @@ SampledThresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const Sam
   out.loop_gain_90 = Percentile90(sample.loop_gains);
   out.pose_gain_90 = Percentile90(sample.pose_gains);
   const double loops = static_cast<double>(replay.LinksOffered()) / static_cast<double>(std::max(poses, 1L));
-  const double most = kRareLoopGain + (kMostLoopGain - kRareLoopGain) * std::min(1.0, loops / kManyLoops);
+  const double most =
+      kRareLoopGain + (kMostLoopGain - kRareLoopGain) * std::pow(std::min(1.0, loops / kManyLoops), kRareness);
   const double usual =
       std::clamp(Raise(out.loop_gain_90, 1.36), kLeastLoopGain * Pose::kDof, kMostLoopGain * Pose::kDof);
   const bool is_bounded = options.strategy == Strategy::kBounded;
-  out.thresholds.min_loop_gain = std::min(is_bounded ? kLeastLoopGain * Pose::kDof : usual, most * Pose::kDof);
+  out.thresholds.min_loop_gain = std::min(is_bounded ? kBoundedLoopGain * Pose::kDof : usual, most * Pose::kDof);
   out.thresholds.min_pose_gain =
       std::max({Raise(out.pose_gain_90, 1.7), kLeastPoseGain * Pose::kDof, kPoseToLoop * usual});
   return out;

@@ -1,6 +1,7 @@
 #include "terse/frontend/stereo_slam.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 #include <string>
@@ -144,6 +145,10 @@ StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
       map_.AddPose(input, [&](PoseId candidate, PoseId current) { return Register(candidate, current, step); });
   const double others = appearance_ ? 0 : step.times.features;
   step.times.map = timer.Lap() - others - step.times.verification;
+  for (const RetiredPose& pose : step.decision.retired) {
+    verifier_.Forget(pose.id);
+    stored_.erase(std::remove(stored_.begin(), stored_.end(), pose.id), stored_.end());
+  }
   if (step.decision.Kept()) {
     StoreFeatures(step.id);
     step.times.features += timer.Lap();

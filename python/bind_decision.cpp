@@ -110,6 +110,16 @@ void BindDecision(py::module_& module) {
           },
           "Ids of poses dropped earlier that are kept from now on, because a loop of this pose leads to them.")
       .def_property_readonly(
+          "retired",
+          [](const Decision& d) {
+            std::vector<std::int64_t> ids;
+            for (const RetiredPose& pose : d.retired) ids.push_back(pose.id.value);
+            return ids;
+          },
+          "Strategy 'bounded': ids of poses kept earlier that are dropped ones from now on, because the map does "
+          "without "
+          "them.")
+      .def_property_readonly(
           "anchored_to",
           [](const Decision& d) {
             return d.anchored_to ? std::optional<std::int64_t>(d.anchored_to->value) : std::nullopt;

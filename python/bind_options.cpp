@@ -199,6 +199,10 @@ void BindSelection(Compact& type) {
       "Strategy 'bounded': the share of the expected squared position error that a link must take from the map besides "
       "telling it enough nats; 0: not asked.");
   DefField(
+      type, "retire_share", [](auto& o) -> auto& { return o.retire_share; },
+      "Strategy 'bounded': as the map grows kept poses retire whose removal loses no more than this share of "
+      "min_loop_gain; 0: none.");
+  DefField(
       type, "most_dropped", [](auto& o) -> auto& { return o.most_dropped; },
       "So many of the newest dropped poses are remembered, and those that the chains of others lead through: memory "
       "then grows with the map alone. None: all.");

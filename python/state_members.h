@@ -37,11 +37,17 @@ void Serialize(Archive& archive, ComposedEdge& edge) {
 }
 
 template <class Archive>
+void Serialize(Archive& archive, RetiredPose& pose) {
+  auto& [id, loss, neighbours, factors_removed, factors_recovered] = pose;
+  archive(id, loss, neighbours, factors_removed, factors_recovered);
+}
+
+template <class Archive>
 void Serialize(Archive& archive, Decision& decision) {
   auto& [id, candidates, candidates_found, verdict, pose_gain, registrations_tried, links_accepted, links_refused,
-         loops_forgotten, revived, anchored_to, edges, update] = decision;
+         loops_forgotten, revived, retired, anchored_to, edges, update] = decision;
   archive(id, candidates, candidates_found, verdict, pose_gain, registrations_tried, links_accepted, links_refused,
-          loops_forgotten, revived, anchored_to, edges, update);
+          loops_forgotten, revived, retired, anchored_to, edges, update);
 }
 
 template <class Archive>

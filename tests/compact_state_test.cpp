@@ -61,14 +61,15 @@ std::string Fields(const ComposedEdge& edge) {
 }
 
 std::string Fields(const Decision& decision) {
-  const auto& [id, candidates, found, verdict, pose_gain, tried, accepted, refused, forgotten, revived, anchored_to,
-               edges, update] = decision;
+  const auto& [id, candidates, found, verdict, pose_gain, tried, accepted, refused, forgotten, revived, retired,
+               anchored_to, edges, update] = decision;
   EXPECT_EQ(update.has_value(), decision.Kept() || !edges.empty());
   std::string out = (update ? Bits(update->gate_value) + Bits(update->flops) : "") + Bits(id) + Bits(verdict) +
                     Bits(pose_gain) + Bits(tried) + Bits(accepted) + Bits(refused) + Bits(forgotten) +
                     Bits(candidates.size()) + Bits(found) + Bits(anchored_to);
   for (const ComposedEdge& edge : edges) out += Fields(edge);
   for (const PoseId back : revived) out += Bits(back);
+  for (const RetiredPose& pose : retired) out += Bits(pose.id) + Bits(pose.loss);
   for (const Candidate& candidate : candidates) out += Fields(candidate);
   return out;
 }

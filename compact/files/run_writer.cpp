@@ -74,6 +74,11 @@ void WriteDecisionLines(const std::vector<Decision>& decisions, const std::strin
     out << "],\"candidates_found\":" << d.candidates_found << ",\"revived\":[";
     for (std::size_t k = 0; k < d.revived.size(); ++k) out << (k > 0 ? "," : "") << d.revived[k].value;
     out << ']';
+    if (!d.retired.empty()) {
+      out << ",\"retired\":[";
+      for (std::size_t k = 0; k < d.retired.size(); ++k) out << (k > 0 ? "," : "") << d.retired[k].id.value;
+      out << ']';
+    }
     if (d.anchored_to) out << ",\"anchored_to\":" << d.anchored_to->value;
     if (!d.edges.empty()) WriteEdges(d.edges, out);
     out << "}\n";

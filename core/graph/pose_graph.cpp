@@ -90,14 +90,19 @@ void PoseGraph<Pose>::SetFixed(PoseId id, bool fixed) {
 
 template <class Pose>
 FactorId PoseGraph<Pose>::AddFactor(const Factor<Pose>& factor) {
+  return AddFactor(factor, NextFactorId());
+}
+
+template <class Pose>
+FactorId PoseGraph<Pose>::AddFactor(const Factor<Pose>& factor, FactorId id) {
+  if (id < NextFactorId()) throw std::invalid_argument("the id " + std::to_string(id.value) + " of a factor is taken");
   const FactorPoses ends = PosesOf(factor);
   IndexOf(ends.first);
   if (ends.count == 2) IndexOf(ends.second);
   const std::string defect = FindDefect(factor);
   if (!defect.empty()) throw std::invalid_argument(defect);
-  const FactorId id{next_factor_id_};
   factors_.Append(id, factor);
-  ++next_factor_id_;
+  next_factor_id_ = id.value + 1;
   return id;
 }
 

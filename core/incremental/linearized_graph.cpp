@@ -152,7 +152,8 @@ void LinearizedGraph<Pose>::Commit(const GraphUpdate<Pose>& update, const Update
   }
   size_t slots = 0;
   for (size_t k = 0; k < update.factors.size(); ++k) {
-    const FactorId id = graph_.AddFactor(update.factors[k]);
+    const FactorId id =
+        graph_.AddFactor(update.factors[k], update.factor_ids.empty() ? graph_.NextFactorId() : update.factor_ids[k]);
     report.factor_ids.push_back(id);
     slot_of_factor_.resize(At(id) + 1, -1);
     if (!plan.IsLoop(k)) Bind(added_slots[slots++], id, plan.W[k]);

@@ -32,6 +32,14 @@ void Validate(const GraphUpdate<Pose>& update, const PoseGraph<Pose>& graph) {
     const std::string defect = FindDefect(factor);
     if (!defect.empty()) throw std::invalid_argument(defect);
   }
+  if (!update.factor_ids.empty()) {
+    if (update.factor_ids.size() != update.factors.size()) throw std::invalid_argument("not one id per factor");
+    FactorId least = graph.NextFactorId();
+    for (const FactorId id : update.factor_ids) {
+      if (id < least) throw std::invalid_argument("the id " + std::to_string(id.value) + " of a factor is taken");
+      least = {id.value + 1};
+    }
+  }
   std::set<FactorId> removed;
   for (const auto& pose : update.poses) {
     const bool finite = !pose.T_world_body || IsFinite(*pose.T_world_body);

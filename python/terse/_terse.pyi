@@ -136,7 +136,7 @@ class CompactOptions:
         ..., view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain:
         float = ..., angle: Angle = ..., composition: Composition = ...,
         keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., poses_per_area: Optional[float] = ...,
-        error: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ...,
+        error: Optional[float] = ..., min_variance_drop: float = ..., retire_share: float = ..., most_dropped: Optional[int] = ...,
         innovation_quantile: Optional[float] = ..., consensus: int = ...,
         plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
         solver: IncrementalOptions = ...,
@@ -211,6 +211,10 @@ class CompactOptions:
     def min_variance_drop(self) -> float: ...
     @min_variance_drop.setter
     def min_variance_drop(self, value: float) -> None: ...
+    @property
+    def retire_share(self) -> float: ...
+    @retire_share.setter
+    def retire_share(self, value: float) -> None: ...
     @property
     def most_dropped(self) -> Optional[int]: ...
     @most_dropped.setter
@@ -357,6 +361,8 @@ class Decision:
     def candidates_found(self) -> int: ...
     @property
     def revived(self) -> List[int]: ...
+    @property
+    def retired(self) -> List[int]: ...
     @property
     def anchored_to(self) -> Optional[int]: ...
     @property
@@ -820,7 +826,7 @@ class Thresholds:
         ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
         angle: Angle = ..., composition: Composition = ...,
         keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., poses_per_area: Optional[float] = ...,
-        error: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ...,
+        error: Optional[float] = ..., min_variance_drop: float = ..., retire_share: float = ..., most_dropped: Optional[int] = ...,
         innovation_quantile: Optional[float] = ...,
         consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
         solver: IncrementalOptions = ...,
@@ -867,7 +873,7 @@ def read_thresholds(
     view_axis: ArrayLike = ..., probability: float = ..., min_loop_gain: float = ..., min_pose_gain: float = ...,
     angle: Angle = ..., composition: Composition = ...,
     keep_poses: Optional[float] = ..., keep_links: Optional[float] = ..., poses_per_area: Optional[float] = ...,
-    error: Optional[float] = ..., min_variance_drop: float = ..., most_dropped: Optional[int] = ...,
+    error: Optional[float] = ..., min_variance_drop: float = ..., retire_share: float = ..., most_dropped: Optional[int] = ...,
         innovation_quantile: Optional[float] = ...,
     consensus: int = ..., plausible_quantile: float = ..., max_registrations: int = ..., record: Record = ...,
     solver: IncrementalOptions = ...,

@@ -70,13 +70,21 @@ void AddBudgetOptions(CLI::App& command, CompactBudget& budget) {
       ->excludes(density);
 }
 
-void AddVarianceOption(CLI::App& command, double& min_variance_drop) {
+void AddBoundedOptions(CLI::App& command, double& min_variance_drop, double& retire_share) {
   command
       .add_option(
           "--min-variance-drop", min_variance_drop,
           "Strategy bounded: a link or an edge is kept only if it also takes this share of the expected squared "
           "position error from the map [0: not asked]")
       ->check(NumberIn(0, 0.999999))
+      ->type_name("SHARE");
+  command
+      .add_option("--retire-share", retire_share,
+                  "Strategy bounded: as the map grows kept poses retire (are marginalised) whose removal loses no more "
+                  "than this "
+                  "share of what a link must tell; 0: none")
+      ->check(NonNegativeNumber())
+      ->capture_default_str()
       ->type_name("SHARE");
 }
 

@@ -1,6 +1,6 @@
 #pragma once
-// --keep-poses, --keep-links, --poses-per-area and --error: how much of a run the map may keep; --min-variance-drop:
-// what a link must tell besides nats.
+// --keep-poses, --keep-links, --poses-per-area and --error: how much of a run the map may keep; --min-variance-drop and
+// --retire-share: what a link must tell besides nats, and what a pose that retires may lose.
 
 #include <CLI/CLI.hpp>
 
@@ -9,6 +9,6 @@
 namespace terse {
 
 void AddBudgetOptions(CLI::App& command, CompactBudget& budget);
-void AddVarianceOption(CLI::App& command, double& min_variance_drop);
+void AddBoundedOptions(CLI::App& command, double& min_variance_drop, double& retire_share);
 
 }  // namespace terse

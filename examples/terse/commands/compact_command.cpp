@@ -38,7 +38,7 @@ struct CompactCommandOptions {
   std::optional<double> probability;
   std::optional<double> min_pose_gain, min_loop_gain;
   CompactBudget budget;
-  double min_variance_drop = 0;
+  double min_variance_drop = 0, retire_share = CompactOptions<SE3>().retire_share;
   std::string thresholds;  // a file to read them from
   bool auto_thresholds = false;
   std::optional<double> sample;  // share of the poses
@@ -79,6 +79,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.solver.robust = from.robust;
   options.budget = from.budget;
   options.min_variance_drop = from.min_variance_drop;
+  options.retire_share = from.retire_share;
   options.log = from.log;
   options.max_registrations = from.max_registrations;
   options.record = from.record;
@@ -256,10 +257,9 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   CompactRun<Pose> run = RunWithProgress<Pose>(
       std::move(slam), replay, "poses", options.quiet,
       [&](const CompactPoseSlam<Pose>& now, const Decision& decision, double s) { recorder.Add(now, decision, s); });
-  const auto retired = options.retire ? std::optional<RetiredCounts>(RetireFrom(run, *options.retire)) : std::nullopt;
+  if (options.retire) RetireFrom(run, *options.retire);
   const RunTrajectories trajectories = MakeRunTrajectories(run.slam, options.recovery, known);
   Stats stats = MakeStats(graph, run, EvaluateRun(trajectories, Pose::kDim));
-  AddTo(stats.more, retired);
   stats.more["information"] = calibrated.report;
   if (!sample.is_null()) stats.more["sample"] = sample;
   if (!seen.empty()) {
@@ -280,7 +280,7 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");
   if (!options.quiet) {
-    PrintSummary(stats, Describe(CountComposed(run.slam)) + Describe(retired), options);
+    PrintSummary(stats, Describe(CountComposed(run.slam)) + Describe(CountRetired(run)), options);
     WarnOfLostLoops(stats, options);
   }
   const std::string undetermined = run.slam.Solver().DescribeUndetermined();
@@ -343,7 +343,7 @@ void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
 
 void AddThresholdOptions(CLI::App& command, CompactCommandOptions& options) {
   AddBudgetOptions(command, options.budget);
-  AddVarianceOption(command, options.min_variance_drop);
+  AddBoundedOptions(command, options.min_variance_drop, options.retire_share);
   command
       .add_option("--range", options.range,
                   "Sensor range in metres and radians; by default 1.5 times the longest link of the file, less one in "

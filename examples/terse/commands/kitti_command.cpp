@@ -29,7 +29,7 @@ struct KittiCommandOptions {
   std::string path, directory, thresholds, ground_truth, frames;
   Strategy strategy = Strategy::kFpfl;
   CompactBudget budget;
-  double min_variance_drop = 0;
+  double min_variance_drop = 0, retire_share = CompactOptions<SE3>().retire_share;
   Search search = Search::kInformation;
   MotionCovariance covariance = MotionCovariance::kSchur;
   bool quiet = false;
@@ -77,6 +77,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.slam.compact.strategy = options.strategy;
   how.slam.compact.budget = options.budget;
   how.slam.compact.min_variance_drop = options.min_variance_drop;
+  how.slam.compact.retire_share = options.retire_share;
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
   how.truth = truth;
@@ -136,7 +137,7 @@ void AddKittiCommand(CLI::App& app) {
                    "A thresholds.json; by default thresholds for a vehicle at ten frames a second")
       ->type_name("FILE");
   AddBudgetOptions(*command, options->budget);
-  AddVarianceOption(*command, options->min_variance_drop);
+  AddBoundedOptions(*command, options->min_variance_drop, options->retire_share);
   command->add_option("--frames", options->frames, "Only frames A, A + 1 ... B - 1; either may be left out")
       ->check(
           [](const std::string& text) { return ParseRange(text) ? "" : text + " is no range of frames like 0:100"; })

@@ -24,7 +24,7 @@ struct OnlineCommandOptions {
   std::vector<double> range, link_deviation;
   std::optional<double> probability, min_pose_gain, min_loop_gain;
   CompactBudget budget;
-  double min_variance_drop = 0;
+  double min_variance_drop = 0, retire_share = CompactOptions<SE3>().retire_share;
   std::string remember;  // a number of dropped poses, "all", or as the journal or the outputs have it
   std::optional<double> innovation_quantile = 0.9999;
   RobustOptions robust;
@@ -65,6 +65,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   options.solver.robust = from.robust;
   options.budget = from.budget;
   options.min_variance_drop = from.min_variance_drop;
+  options.retire_share = from.retire_share;
   if (!from.remember.empty() && from.remember != kAll) options.most_dropped = std::stoi(from.remember);
   options.log = from.log;
   return options;
@@ -81,6 +82,7 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   if (poses_per_area) json["poses_per_area"] = *poses_per_area;
   if (error) json["error"] = *error;
   if (settings.min_variance_drop > 0) json["min_variance_drop"] = settings.min_variance_drop;
+  if (settings.strategy == Strategy::kBounded) json["retire_share"] = settings.retire_share;
   if (settings.most_dropped) json[kMostDropped] = *settings.most_dropped;
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
@@ -185,7 +187,7 @@ void AddOnlineCommand(CLI::App& app) {
             "finds the robot in known terrain its chain starts anew at a kept pose");
   AddThresholdOptions(*command, *options);
   AddBudgetOptions(*command, options->budget);
-  AddVarianceOption(*command, options->min_variance_drop);
+  AddBoundedOptions(*command, options->min_variance_drop, options->retire_share);
   AddRobustOptions(*command, options->robust);
   AddReadOptions(*command, options->run.read);
   command

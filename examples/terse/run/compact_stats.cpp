@@ -3,7 +3,6 @@
 #include <cstdio>
 
 #include "terse/compact/compact_json.h"
-#include "terse/compact/retire_poses.h"
 #include "terse/core/require_optimum.h"
 
 namespace terse {
@@ -41,20 +40,24 @@ std::string Describe(const std::optional<ComposedCounts>& counts) {
 }
 
 template <class Pose>
-RetiredCounts RetireFrom(CompactRun<Pose>& run, double most_loss) {
-  const CompactOptions<Pose> options = run.slam.Options();
-  RetireOptions retire;
-  retire.most_loss = most_loss;
-  retire.only_odometry = options.solver.robust.kernel != RobustKernel::kNone;
-  const Retired<Pose> retired = RetirePoses(run.slam.Export(), options, retire);
+std::optional<RetiredCounts> CountRetired(const CompactRun<Pose>& run) {
   RetiredCounts counts;
-  counts.poses = static_cast<long>(retired.poses.size());
-  for (const RetiredPose& pose : retired.poses) counts.loss += pose.loss;
-  if (counts.poses == 0) return counts;
-  run.slam = CompactPoseSlam<Pose>::Restore(retired.map, options);
+  const auto add = [&](const std::vector<RetiredPose>& retired) {
+    counts.poses += static_cast<long>(retired.size());
+    for (const RetiredPose& pose : retired) counts.loss += pose.loss;
+  };
+  for (const Decision& decision : run.decisions) add(decision.retired);
+  add(run.retired);
+  const bool may = run.slam.Options().strategy == Strategy::kBounded || counts.poses > 0;
+  return may ? std::optional<RetiredCounts>(counts) : std::nullopt;
+}
+
+template <class Pose>
+void RetireFrom(CompactRun<Pose>& run, double most_loss) {
+  const std::vector<RetiredPose> retired = run.slam.Retire(most_loss);
+  run.retired.insert(run.retired.end(), retired.begin(), retired.end());
   run.result = run.slam.Finish();
   RequireOptimum(run.result);
-  return counts;
 }
 
 void AddTo(nlohmann::ordered_json& stats, const std::optional<RetiredCounts>& counts) {
@@ -92,6 +95,7 @@ Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const
   stats.more["registrations_tried"] = run.registrations_tried;
   stats.more["links_refused"] = run.links_refused;
   AddTo(stats.more, CountComposed(run.slam));
+  AddTo(stats.more, CountRetired(run));
   stats.more["restarts"] = run.slam.Solver().Restarts();
   nlohmann::ordered_json thresholds = ThresholdsToJson(run.slam.Options().thresholds);
   thresholds.erase("link_covariance");
@@ -107,8 +111,10 @@ Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const
 
 template std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<SE2>&);
 template std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<SE3>&);
-template RetiredCounts RetireFrom(CompactRun<SE2>&, double);
-template RetiredCounts RetireFrom(CompactRun<SE3>&, double);
+template std::optional<RetiredCounts> CountRetired(const CompactRun<SE2>&);
+template std::optional<RetiredCounts> CountRetired(const CompactRun<SE3>&);
+template void RetireFrom(CompactRun<SE2>&, double);
+template void RetireFrom(CompactRun<SE3>&, double);
 template Stats MakeStats<SE2>(const PoseGraph<SE2>&, const CompactRun<SE2>&, const std::optional<Evaluation>&);
 template Stats MakeStats<SE3>(const PoseGraph<SE3>&, const CompactRun<SE3>&, const std::optional<Evaluation>&);
 

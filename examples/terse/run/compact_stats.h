@@ -24,14 +24,16 @@ std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<Pose>& slam);
 void AddTo(nlohmann::ordered_json& stats, const std::optional<ComposedCounts>& counts);
 std::string Describe(const std::optional<ComposedCounts>& counts);
 
-// What retired from the map at the end of a run (retire_poses.h): likewise.
+// What retired from the map (retire_poses.h): likewise.
 struct RetiredCounts {
   long poses = 0;
   double loss = 0;  // nats, of all together
 };
-// The run goes on with the map that is left, at its optimum. Loops that a robust kernel weighs stay as they are.
 template <class Pose>
-RetiredCounts RetireFrom(CompactRun<Pose>& run, double most_loss);
+std::optional<RetiredCounts> CountRetired(const CompactRun<Pose>& run);
+// Besides, at the end of a run, those that lose no more than this.
+template <class Pose>
+void RetireFrom(CompactRun<Pose>& run, double most_loss);
 void AddTo(nlohmann::ordered_json& stats, const std::optional<RetiredCounts>& counts);
 std::string Describe(const std::optional<RetiredCounts>& counts);
 

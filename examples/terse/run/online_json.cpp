@@ -64,6 +64,10 @@ ordered_json DecisionJson(const Decision& d, const CompactPoseSlam<Pose>& slam) 
                        {"links", links},
                        {"estimate", Numbers(slam.Estimate(d.id, Recovery::kV2))}};
   if (d.loops_forgotten > 0) json["loops_forgotten"] = d.loops_forgotten;
+  if (!d.retired.empty()) {
+    json["retired"] = ordered_json::array();
+    for (const RetiredPose& pose : d.retired) json["retired"].push_back(pose.id.value);
+  }
   if (d.anchored_to) json["anchored_to"] = d.anchored_to->value;
   if (!d.edges.empty()) json["edges"] = EdgesJson(d.edges);
   if (d.verdict == PoseVerdict::kPrior) AddUndetermined(slam, json);

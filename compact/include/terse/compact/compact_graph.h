@@ -20,6 +20,7 @@ struct CompactRun {
   std::vector<double> step_seconds;  // of AddPose
   int links_offered = 0;             // edges beside the odometry
   int registrations_tried = 0, links_refused = 0;
+  std::vector<RetiredPose> retired;         // at the end, as CompactOptions::retire_share has it
   BatchResult<Pose> result;                 // of the kept graph
   InformationScale information_scale = {};  // of what the run saw, against the graph: CompactGraph with a strategy
 

@@ -59,6 +59,10 @@ struct CompactOptions {
   // telling it enough nats, from 0 (not asked) to below 1. It is what remains after the best alignment, to first order
   // (A-optimality without the gauge).
   double min_variance_drop = 0;
+  // kBounded: as the map grows, kept poses retire whose removal loses no more than this share of min_loop_gain
+  // (retire_poses.h); 0: none. Whenever it has grown by a tenth and 50 poses, so the time of a step is one of the whole
+  // map then, and a small part of the run's. Not with a robust kernel, nor with CompactBudget::error.
+  double retire_share = 0.3;
   // A pose is a candidate for a link when it is within range (Thresholds::probability), or when the range meets the
   // ellipsoid that holds the displacement with this probability: a map that has drifted far knows no displacement well,
   // and that is when it needs its loops. The probability of being in range then says in which order they are

@@ -40,6 +40,7 @@
 #include "terse/compact/compact_options.h"
 #include "terse/compact/decision.h"
 #include "terse/compact/recovery.h"
+#include "terse/compact/retire_poses.h"
 #include "terse/core/incremental_solver.h"
 #include "terse/covariance/incremental_marginals.h"
 
@@ -94,6 +95,12 @@ class CompactPoseSlam {
   // The kept poses and links.
   const IncrementalSolver<Pose>& Solver() const;
   const CompactOptions<Pose>& Options() const;
+  // Poses retire from the map now (retire_poses.h): as CompactOptions::retire_share has it, nothing where that does not
+  // apply; or those whose removal loses no more than this, nats, with any strategy. What is left comes to its optimum,
+  // its factors keep their ids. The second throws std::invalid_argument for a negative loss and NumericalError, leaving
+  // the map as it was, if that has no optimum.
+  std::vector<RetiredPose> Retire();
+  std::vector<RetiredPose> Retire(double most_loss);
   // Iterates the kept graph to its optimum.
   BatchResult<Pose> Finish();
   // All poses that are remembered, in order of arrival.

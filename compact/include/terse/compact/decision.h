@@ -49,6 +49,14 @@ struct ComposedEdge {
   bool fused = false;  // with an edge that joined the two already
 };
 
+// That the map did without from then on (retire_poses.h).
+struct RetiredPose {
+  PoseId id;
+  double loss = 0;     // nats: 1/2 ln |Sigma_tree| / |Sigma_exact| of its neighbours' displacements
+  int neighbours = 0;  // that it had
+  int factors_removed = 0, factors_recovered = 0;
+};
+
 struct Decision {
   PoseId id;
   // In the order they were settled, as last evaluated; of those not tried the best by gain (CompactOptions::record).
@@ -64,6 +72,10 @@ struct Decision {
   int loops_forgotten = 0;  // that came with the pose and lead to forgotten ones (CompactOptions::most_dropped)
   // Poses dropped earlier that are kept from now on, because a loop of this pose leads to them.
   std::vector<PoseId> revived;
+  // kBounded: poses kept earlier that are dropped ones from now on, because the map does without them
+  // (CompactOptions::retire_share). Links that they had went into factors between their neighbours, and cannot be taken
+  // out one by one any more.
+  std::vector<RetiredPose> retired;
   // kBounded: the kept pose at which the chain started anew, and the edges that the pose's links made.
   std::optional<PoseId> anchored_to;
   std::vector<ComposedEdge> edges;

@@ -15,12 +15,15 @@
 // their covariances say that is no order to go by, and poses stay.
 //
 // What a retired pose is reached by, the odometry from the kept pose before it, is its chain then; where this odometry
-// leads on to another kept pose, that one's odometry leads over the retired pose.
+// leads on to another kept pose, that one's odometry leads over the retired pose. Where other factors went with it the
+// chain holds, instead of the odometry, where the map has the pose and how well it knows it: nothing is carried along
+// such a chain any more, and the pose stays where those factors had put it.
 
 #include <vector>
 
 #include "terse/compact/compact_map.h"
 #include "terse/compact/compact_options.h"
+#include "terse/compact/decision.h"
 
 namespace terse {
 
@@ -29,13 +32,8 @@ struct RetireOptions {
   int most_neighbours = 4;  // that a pose may have which retires; at least 1
   // With a robust kernel the weight of a loop is its own: poses that loops hang on stay then.
   bool only_odometry = false;
-};
-
-struct RetiredPose {
-  PoseId id;
-  double loss = 0;     // nats: 1/2 ln |Sigma_tree| / |Sigma_exact| of its neighbours' displacements
-  int neighbours = 0;  // that it had
-  int factors_removed = 0, factors_recovered = 0;
+  // What is new has these ids or, of factors, higher, of parts, lower ones: those between may have been others'.
+  FactorId first_factor = {0}, first_part = {-2};
 };
 
 template <class Pose>

@@ -32,6 +32,8 @@ class AlignedVariance {
   double Total();
   // The share of V that a measurement of T_a_b takes, covariance in b's frame. O(kept poses). 0 if a is b.
   double ShareTold(PoseId a, PoseId b, const Jacobian& Sigma_a_b);
+  // The solver is another.
+  void Forget() { ids_.clear(); }
 
  private:
   void Refresh();

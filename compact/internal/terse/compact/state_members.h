@@ -20,13 +20,13 @@ void Serialize(Archive& archive, DistanceOptions& options) {
 
 template <class Archive, class Pose>
 void Serialize(Archive& archive, CompactOptions<Pose>& options) {
-  auto& [strategy, thresholds, budget, min_variance_drop, plausible_quantile, max_registrations, failed_neighbourhood,
-         distance, composition, innovation_quantile, consensus, record, most_recorded, most_dropped, solver, log] =
-      options;  // the log is not stored
+  auto& [strategy, thresholds, budget, min_variance_drop, retire_share, plausible_quantile, max_registrations,
+         failed_neighbourhood, distance, composition, innovation_quantile, consensus, record, most_recorded,
+         most_dropped, solver, log] = options;  // the log is not stored
   auto& [range, probability, min_loop_gain, min_pose_gain, link_covariance] = thresholds;
   archive(strategy, range, probability, plausible_quantile, max_registrations, failed_neighbourhood, min_loop_gain,
           min_pose_gain, link_covariance, distance, composition, innovation_quantile, consensus, record, most_recorded,
-          most_dropped, min_variance_drop, solver);
+          most_dropped, min_variance_drop, retire_share, solver);
   auto& [keep_poses, keep_links, poses_per_area, error] = budget;
   archive(keep_poses, keep_links, poses_per_area, error);
 }

@@ -22,6 +22,9 @@ struct GraphUpdate {
   // Positions in `factors` of relative factors that a robust kernel is not for, whatever they join: odometry. (Those
   // that bring a new pose are none of the kernel's in any case.)
   std::vector<std::size_t> odometry = {};
+  // Empty, or an id for each of `factors`, ascending and none below the graph's NextFactorId: of a map that is put
+  // together again.
+  std::vector<FactorId> factor_ids = {};
 };
 
 }  // namespace terse

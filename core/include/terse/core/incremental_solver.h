@@ -59,6 +59,7 @@ class IncrementalSolver {
   // From these values and no others, by pose index.
   BatchResult<Pose> FinishFrom(const std::vector<Pose>& T_world_body, const BatchOptions& options = {});
 
+  const IncrementalOptions& Options() const { return options_; }
   // How often the map left a wrong minimum for a lower one (IncrementalOptions::restart), Finish included.
   int Restarts() const;
 

@@ -165,6 +165,8 @@ class PoseGraph {
   // Throws std::invalid_argument, leaving the graph as it was, if a pose is unknown, an edge joins a pose to
   // itself, a number is not finite, or the information is not symmetric positive definite.
   FactorId AddFactor(const Factor<Pose>& factor);
+  // Gives it this id, and the next one those above. Throws besides if the id is below NextFactorId.
+  FactorId AddFactor(const Factor<Pose>& factor, FactorId id);
   // False if there is no such factor (any more). O(log n) amortised.
   bool RemoveFactor(FactorId id);
   // The id that the next factor gets.
