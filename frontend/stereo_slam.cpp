@@ -37,7 +37,7 @@ StereoOdometryOptions OdometryOptions(const StereoSlamOptions& options) {
 
 CompactOptions<SE3> StereoCompactOptions() {
   CompactOptions<SE3> out;
-  out.strategy = Strategy::kFpfl;
+  out.strategy = Strategy::kBounded;
   out.thresholds.range = {3, 3, 8, 0.7};
   out.thresholds.min_loop_gain = 8;
   out.thresholds.min_pose_gain = 8;

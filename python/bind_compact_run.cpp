@@ -42,7 +42,7 @@ Compacted Compact(const Graph& graph, const CompactSettings* options, const std:
                   const py::object& progress) {
   if (options != nullptr && strategy)
     throw std::invalid_argument("give either options, which say the strategy, or strategy");
-  const auto chosen = FromWord<Strategy>(strategy.value_or("fpfl"));
+  const auto chosen = strategy ? FromWord<Strategy>(*strategy) : CompactOptions<SE3>().strategy;
   const Interrupter interrupter(progress);
   const auto shared = graph.Share();
   return std::visit(
@@ -163,10 +163,9 @@ void BindCompactRun(py::module_& module) {
       "options "
       "as the command does: thresholds from a sample of the graph, and information that nobody estimated and that the "
       "residuals contradict is scaled first (calibrate_information).\n"
-      "options: CompactOptions, taken as they are, and the information too. strategy, if there are no options: 'fpfl' "
-      "(few poses, few links; the default), 'apfl' (all poses, few links), 'apal' (all) or 'bounded' (as many as the "
-      "area "
-      "needs, however often the robot comes back).\n"
+      "options: CompactOptions, taken as they are, and the information too. strategy, if there are no options: "
+      "'bounded' (as many poses and links as the area needs, however often the robot comes back; the default), 'fpfl' "
+      "(few poses, few links), 'apfl' (all poses, few links) or 'apal' (all).\n"
       "progress: called with (done, total) after every pose.\n"
       "ValueError if the graph is empty or not connected. Without the GIL; Ctrl-C works.");
 }

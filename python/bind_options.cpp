@@ -230,7 +230,8 @@ void BindCompactOptions(py::module_& module) {
           "dimension", [](const CompactSettings& s) { return DimensionOf(s.options); }, "2 or 3.");
   DefWordField(
       type, "strategy", [](auto& o) -> auto& { return o.strategy; },
-      "'fpfl' (few poses, few links), 'apfl' (all poses, few links), 'apal' (all), 'rfpfl' (as few, drawn at random).");
+      "'bounded' (as many poses and links as the area needs; the default), 'fpfl' (few poses, few links), 'apfl' (all "
+      "poses, few links), 'apal' (all), 'rfpfl' (as few as fpfl, drawn at random).");
   BindArrays(type);
   BindSearch(type);
   BindSelection(type);

@@ -185,8 +185,8 @@ void BindGraphReplay(py::module_& module) {
 }
 
 ChosenThresholds Select(const Graph& graph, double probability, double share, long most_poses, const std::string& angle,
-                        const std::optional<Array>& view_axis, std::optional<double> innovation_quantile,
-                        const py::object& progress) {
+                        const std::optional<Array>& view_axis, const std::string& strategy,
+                        std::optional<double> innovation_quantile, const py::object& progress) {
   const Interrupter interrupter(progress);
   SampleOptions options;
   options.probability = probability;
@@ -198,6 +198,7 @@ ChosenThresholds Select(const Graph& graph, double probability, double share, lo
       throw std::invalid_argument("view_axis: expected shape (3,)");
     options.distance.view_axis = Eigen::Map<const Vector<3>>(view_axis->data());
   }
+  options.strategy = FromWord<Strategy>(strategy);
   options.innovation_quantile = innovation_quantile;
   options.progress = [&](long done, long total) { interrupter(done, total); };
   const auto shared = graph.Share();
@@ -271,10 +272,12 @@ void BindThresholds(py::module_& module) {
   module.def(
       "select_thresholds", &Select, py::arg("graph"), py::kw_only(), py::arg("probability") = 0.1,
       py::arg("share") = 0.6, py::arg("most_poses") = 200, py::arg("angle") = "view", py::arg("view_axis") = py::none(),
-      py::arg("innovation_quantile") = py::none(), py::arg("progress") = py::none(),
+      py::arg("strategy") = WordOf(SampleOptions().strategy), py::arg("innovation_quantile") = py::none(),
+      py::arg("progress") = py::none(),
       "Chooses the thresholds of compact pose SLAM from poses spread over a PoseGraph (Thresholds).\n\n"
       "share, most_poses: the sample, a share of the poses but no more than so many.\n"
-      "angle, view_axis: as in CompactOptions. innovation_quantile: leave out loops that the innovation test would "
+      "angle, view_axis: as in CompactOptions. strategy: that the thresholds are for; Thresholds.options() is told "
+      "of another than 'bounded' too. innovation_quantile: leave out loops that the innovation test would "
       "refuse "
       "at this quantile; None takes all for true.\n"
       "progress: called with (done, total). ValueError if the graph is empty or not connected. Without the GIL.");

@@ -430,6 +430,23 @@ TEST_F(CompactCommand, InformationThatNobodyEstimatedIsScaled) {
   ExpectFailure(run + "out --calibrate-information on", 2, "--calibrate-information");
 }
 
+TEST_F(CompactCommand, TheDefaultIsBounded) {
+  MakeScene("ellipse-n");
+  const Outcome unsaid = Succeed("compact in.g2o --output unsaid");
+  EXPECT_EQ(unsaid.out.rfind("bounded kept ", 0), 0u) << unsaid.out;
+  EXPECT_EQ(JsonFile("unsaid/stats.json")["strategy"], "bounded");
+  EXPECT_EQ(JsonFile("unsaid/graph.json")["strategy"], "bounded");
+  Succeed("compact in.g2o --strategy bounded --output said --quiet");
+  Succeed("compact in.g2o --strategy fpfl --output few --quiet");
+  for (const std::string file : {"graph.json", "thresholds.json", "trajectory.tum"}) {
+    EXPECT_EQ(Read("unsaid/" + file), Read("said/" + file)) << file;
+  }
+  EXPECT_NE(Read("unsaid/graph.json"), Read("few/graph.json"));
+  // A map goes on as it began.
+  Succeed("compact in.g2o --continue few --output more --quiet");
+  EXPECT_EQ(JsonFile("more/stats.json")["strategy"], "fpfl");
+}
+
 TEST_F(CompactCommand, RegistrationsAreBounded) {
   MakeScene("manhattan");
   const auto most = [&](const std::string& folder) {
@@ -452,32 +469,41 @@ TEST_F(CompactCommand, RegistrationsAreBounded) {
 
 TEST_F(CompactCommand, WhatIsRecordedChangesNothingElse) {
   MakeScene("manhattan");
-  std::map<std::string, long> untried, tried;
-  for (const std::string record : {"none", "decisions", "candidates"}) {
-    Succeed("compact in.g2o --quiet --output " + record + " --record " + record);
-    EXPECT_EQ(Read(record + "/compact.g2o"), Read("none/compact.g2o"));
-    const auto lines = JsonLines(record + "/decisions.jsonl"), fewest = JsonLines("none/decisions.jsonl");
-    ASSERT_EQ(lines.size(), fewest.size());
-    for (std::size_t k = 0; k < lines.size(); ++k) {
-      for (const char* key : {"kept", "verdict", "pose_gain_nats", "registrations_tried", "links_accepted",
-                              "candidates_found", "revived"})
-        EXPECT_EQ(lines[k][key], fewest[k][key]) << key;
-      long others = 0;
-      for (const auto& candidate : lines[k]["candidates"]) ++(candidate["tried"] ? tried[record] : others);
-      EXPECT_LE(others, 16);
-      untried[record] += others;
+  for (const std::string strategy : {"fpfl", "bounded"}) {
+    SCOPED_TRACE(strategy);
+    std::map<std::string, long> untried, tried;
+    for (const std::string record : {"none", "decisions", "candidates"}) {
+      Succeed("compact in.g2o --quiet --strategy " + strategy + " --output " + record + " --record " + record);
+      EXPECT_EQ(Read(record + "/compact.g2o"), Read("none/compact.g2o"));
+      const auto lines = JsonLines(record + "/decisions.jsonl"), fewest = JsonLines("none/decisions.jsonl");
+      ASSERT_EQ(lines.size(), fewest.size());
+      for (std::size_t k = 0; k < lines.size(); ++k) {
+        for (const char* key : {"kept", "verdict", "pose_gain_nats", "registrations_tried", "links_accepted",
+                                "candidates_found", "revived"})
+          EXPECT_EQ(lines[k][key], fewest[k][key]) << key;
+        long others = 0;
+        for (const auto& candidate : lines[k]["candidates"]) ++(candidate["tried"] ? tried[record] : others);
+        EXPECT_LE(others, 16);
+        untried[record] += others;
+      }
     }
+    EXPECT_EQ(untried["none"] + tried["none"] + untried["decisions"], 0);
+    const long registrations = JsonFile("decisions/stats.json")["registrations_tried"];
+    if (strategy == "fpfl") {
+      EXPECT_EQ(tried["decisions"], registrations);
+    } else {  // a link that says where the robot is was tried, too, and is no registration
+      EXPECT_GT(tried["decisions"], registrations);
+    }
+    EXPECT_EQ(tried["candidates"], tried["decisions"]);
+    EXPECT_GT(untried["candidates"], 0);
   }
-  EXPECT_EQ(untried["none"] + tried["none"] + untried["decisions"], 0);
-  EXPECT_EQ(tried["decisions"], JsonFile("decisions/stats.json")["registrations_tried"]);
-  EXPECT_EQ(tried["candidates"], tried["decisions"]);
-  EXPECT_GT(untried["candidates"], 0);
   ExpectFailure("compact in.g2o --output out --record all", 2, "--record");
 }
 
 TEST_F(CompactCommand, LostLoopsAreToldWithTheCause) {
   Succeed("generate manhattan --poses 300 --output in.g2o --ground-truth in.tum");
-  const std::string run = "compact in.g2o --ground-truth in.tum --output out ";
+  EXPECT_EQ(Succeed("compact in.g2o --output default").err, "");
+  const std::string run = "compact in.g2o --strategy fpfl --ground-truth in.tum --output out ";
   const Outcome good = Succeed(run);
   EXPECT_EQ(good.err, "");
   const auto errors = JsonFile("out/stats.json")["errors"];

@@ -32,10 +32,12 @@ TYPED_TEST(CompactGraphTest, IsTheRunByHand) {
   for (std::uint64_t seed = 1; seed <= 3; ++seed) {
     SCOPED_TRACE(seed);
     const PoseGraph<Pose> graph = Scene<Pose>(seed);
-    const CompactRun<Pose> run = CompactGraph(graph);
+    const CompactRun<Pose> run = CompactGraph(graph, Strategy::kFpfl);
 
     CompactOptions<Pose> options;
+    options.strategy = Strategy::kFpfl;
     SampleOptions sample;
+    sample.strategy = Strategy::kFpfl;
     sample.innovation_quantile = options.innovation_quantile;
     options.thresholds = SelectThresholds(graph, sample).thresholds;
     GraphReplay<Pose> replay(graph);
@@ -71,6 +73,24 @@ TYPED_TEST(CompactGraphTest, IsTheRunByHand) {
     const double chi2 = Chi2(run.KeptGraph());
     EXPECT_NEAR(chi2, run.result.chi2, 1e-9 * chi2 + 1e-12);
   }
+}
+
+TYPED_TEST(CompactGraphTest, TheDefaultIsBounded) {
+  const auto graph = Scene<TypeParam>(1);
+  const auto unsaid = CompactGraph(graph), said = CompactGraph(graph, Strategy::kBounded);
+  EXPECT_EQ(unsaid.slam.Options().strategy, Strategy::kBounded);
+  EXPECT_EQ(CompactOptions<TypeParam>().strategy, Strategy::kBounded);
+  EXPECT_EQ(unsaid.result.chi2, said.result.chi2);
+  EXPECT_EQ(unsaid.PosesKept(), said.PosesKept());
+  EXPECT_NE(unsaid.result.chi2, CompactGraph(graph, Strategy::kFpfl).result.chi2);
+  // The thresholds of a sample, too, are for it.
+  SampleOptions sample;
+  const auto of_default = SelectThresholds(graph, sample).thresholds;
+  sample.strategy = Strategy::kBounded;
+  EXPECT_EQ(of_default.min_loop_gain, SelectThresholds(graph, sample).thresholds.min_loop_gain);
+  CompactOptions<TypeParam> options;
+  SampleThresholds(graph, options);
+  EXPECT_EQ(options.thresholds.min_loop_gain, of_default.min_loop_gain);
 }
 
 TYPED_TEST(CompactGraphTest, GivenOptionsAreObeyed) {

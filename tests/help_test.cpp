@@ -91,6 +91,16 @@ TEST_F(Help, EveryExampleWorks) {
   }
 }
 
+TEST_F(Help, SaysWhichStrategyIsTheDefault) {
+  for (const std::string command : {"compact", "online"}) {
+    const std::string help = Succeed(command + " --help").out;
+    const std::size_t option = help.find("  --strategy ");
+    ASSERT_NE(option, std::string::npos) << command;
+    const std::string line = help.substr(option, help.find('\n', option) - option);
+    EXPECT_NE(line.find("bounded=bounded"), std::string::npos) << line;
+  }
+}
+
 TEST_F(Help, MistypedNamesAreMetWithTheNearest) {
   ExpectFailure("comapct x.g2o", 2, "unknown subcommand comapct; did you mean compact?");
   ExpectFailure("table igg-sop x", 2, "unknown subcommand igg-sop; did you mean igg-spo?");

@@ -87,6 +87,7 @@ TEST_F(KittiCommandTest, WritesTrajectoryMapLoopsAndStatistics) {
 TEST_F(KittiCommandTest, ChoosesFramesAndSearch) {
   EXPECT_EQ(Succeed("kitti street --output part --frames 2:6 --ground-truth truth.txt --quiet").out, "");
   EXPECT_EQ(JsonFile("part/stats.json").at("frames"), 4);
+  EXPECT_EQ(JsonFile("part/stats.json").at("strategy"), "bounded") << "unless another is asked for";
   EXPECT_EQ(ReadTrajectory(Path("part/trajectory.kitti.txt")).T_world_body.size(), 4u);
   EXPECT_NEAR(ReadTrajectory(Path("part/trajectory.tum")).stamps.front(), 0.2, 1e-6);
   const Outcome both = Succeed("kitti street --output both --candidates both");

@@ -61,6 +61,24 @@ TEST_F(StereoSlamTest, KeepsFewPosesAndClosesLoops) {
   EXPECT_LT(AteMetres(slam), 0.15);
 }
 
+// The way back adds no poses: there the camera is found again.
+TEST_F(StereoSlamTest, TheDefaultIsBounded) {
+  ASSERT_EQ(StereoCompactOptions().strategy, Strategy::kBounded);
+  StereoSlam slam(scene_->camera, Eager(StereoCompactOptions().strategy)), few(scene_->camera, Eager(Strategy::kFpfl));
+  int anchored = 0;
+  for (const StereoFrame& frame : scene_->frames) {
+    const StereoSlamStep step = slam.AddFrame(frame);
+    few.AddFrame(frame);
+    anchored += step.decision.verdict == PoseVerdict::kAnchored;
+    EXPECT_EQ(slam.Verifier().Has(step.id), step.decision.Kept());
+  }
+  EXPECT_TRUE(slam.Finish().Converged());
+  EXPECT_GE(anchored, 1);
+  EXPECT_LE(Kept(slam), Kept(few));
+  EXPECT_EQ(slam.Map().Trajectory().size(), scene_->frames.size());
+  EXPECT_LT(AteMetres(slam), 0.15);
+}
+
 TEST_F(StereoSlamTest, AllPosesAllLinksRegistersWhateverIsInRange) {
   StereoSlam slam(scene_->camera, Eager(Strategy::kApal));
   std::size_t verified = 0;

@@ -51,6 +51,9 @@ TEST_F(SweepCommand, AtScaleOneItIsCompact) {
   Succeed("sweep in.g2o --threshold loop --from 1 --to 1 --steps 1 --ground-truth truth.tum --csv l.csv");
   const auto row = CsvRows(Read("l.csv")).at(0);
   Succeed("compact in.g2o --strategy fpfl --output few");
+  const auto thresholds = JsonFile("few/thresholds.json");
+  EXPECT_NEAR(std::stod(row[2]), thresholds["min_loop_gain"], 1e-9) << "the thresholds of fpfl, too";
+  EXPECT_NEAR(std::stod(row[3]), thresholds["min_pose_gain"], 1e-9);
   const auto stats = JsonFile("few/stats.json");
   EXPECT_EQ(std::stoi(row[4]), stats["poses_kept"]);
   EXPECT_EQ(std::stoi(row[6]), stats["links_kept"]);

@@ -1,6 +1,6 @@
 """What a compact run kept, and why: reads its folder, prints a table and draws.
 
-    build/bin/terse compact GRAPH.g2o --strategy fpfl --output DIR
+    build/bin/terse compact GRAPH.g2o --output DIR
     PYTHONPATH=build/python python3 examples/python/analyse_compact.py DIR [--output PICTURE.png]
 
 Editors that know cells (# %%) run it piece by piece. Without a display the picture goes to DIR/analysis.png.

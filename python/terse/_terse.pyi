@@ -849,7 +849,7 @@ class UnobservableError(NumericalError):
 
 def calibrate_information(graph: PoseGraph) -> Tuple[PoseGraph, InformationCalibration]: ...
 def compact(
-    graph: PoseGraph, options: Optional[CompactOptions] = None, *, strategy: Optional[Literal["fpfl", "apfl", "apal"]] =
+    graph: PoseGraph, options: Optional[CompactOptions] = None, *, strategy: Optional[Literal["fpfl", "apfl", "apal", "bounded"]] =
     None, progress: Optional[Callable[[int, int], object]] = None,
 ) -> CompactRun: ...
 def evaluate(
@@ -885,8 +885,8 @@ def replay(
 ) -> None: ...
 def select_thresholds(
     graph: PoseGraph, *, probability: float = 0.1, share: float = 0.6, most_poses: int = 200, angle: Angle =
-    "view", view_axis: Optional[ArrayLike] = None, innovation_quantile: Optional[float] = None, progress:
-    Optional[Callable[[int, int], object]] = None,
+    "view", view_axis: Optional[ArrayLike] = None, strategy: Strategy = "bounded", innovation_quantile:
+    Optional[float] = None, progress: Optional[Callable[[int, int], object]] = None,
 ) -> Thresholds: ...
 def solve(
     graph: PoseGraph, *, initial: Union[Literal["auto", "compose", "file", "tree", "chordal"], ArrayLike] = "auto",

@@ -50,6 +50,7 @@ MapResult MapRuns<Pose>::Compact(const Contaminated<Pose>& with, const Threshold
                                  int consensus, bool gnc) const {
   MapResult out;
   CompactOptions<Pose> settings;
+  settings.strategy = Strategy::kFpfl;
   settings.thresholds = thresholds;
   settings.innovation_quantile = test ? std::optional<double>(kQuantile) : std::nullopt;
   settings.consensus = consensus;

@@ -63,6 +63,7 @@ class SceneRun {
       if (factor != 1) contaminated_.back().graph = Scaled(contaminated_.back().graph, factor);
       Say(scene_.name + ", thresholds, " + Format("%g %%", percent));
       SampleOptions options;
+      options.strategy = Strategy::kFpfl;
       thresholds_.push_back(SelectThresholds(contaminated_.back().graph, options).thresholds);
       options.innovation_quantile = kQuantile;
       tested_.push_back(SelectThresholds(contaminated_.back().graph, options).thresholds);

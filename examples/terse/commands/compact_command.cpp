@@ -307,7 +307,7 @@ void Compact(CompactCommandOptions options) {
       {{"FILE", options.path}, {"--thresholds", options.thresholds}, {"--ground-truth", options.ground_truth}});
   const double start = SecondsNow();
   const std::optional<CompactMapFile> before = ReadContinued(options);
-  if (!options.strategy) options.strategy = Strategy::kFpfl;
+  if (!options.strategy) options.strategy = CompactOptions<SE3>().strategy;
   const GraphFile file = ReadGraph(options.path, options.read);
   const double seconds_read = SecondsNow() - start;
   if (!options.quiet) ReportRepairs(file, options.path);
@@ -329,7 +329,7 @@ void AddTaskOptions(CLI::App& command, CompactCommandOptions& options) {
             "All poses all links, all poses few links, few poses few links, as few at random, or as many as the area "
             "needs (bounded: where a link finds the robot in known terrain its chain starts anew at a kept pose); "
             "--continue goes on as before")
-      ->default_str("fpfl");
+      ->default_str(Name(CompactOptions<SE3>().strategy));
   command
       .add_option("--continue", options.continued,
                   "Continue the map in this folder (its graph.json and thresholds.json) with the poses of FILE that it "
@@ -426,9 +426,9 @@ void AddCompactCommand(CLI::App& app) {
   AddVerboseOption(*command, options->log);
   command->footer(
       "Example: terse generate ellipse-n --laps 1 --output laps.g2o --ground-truth laps.tum &&\n"
-      "         terse compact laps.g2o --strategy fpfl --ground-truth laps.tum --output laps_fpfl &&\n"
+      "         terse compact laps.g2o --ground-truth laps.tum --output laps_compact &&\n"
       "         terse generate ellipse-n --laps 2 --output longer.g2o &&\n"
-      "         terse compact longer.g2o --continue laps_fpfl --output longer_fpfl");
+      "         terse compact longer.g2o --continue laps_compact --output longer_compact");
   command->callback([options] { Compact(*options); });
 }
 

@@ -27,7 +27,7 @@ struct FrameRange {
 
 struct KittiCommandOptions {
   std::string path, directory, thresholds, ground_truth, frames;
-  Strategy strategy = Strategy::kFpfl;
+  Strategy strategy = StereoCompactOptions().strategy;
   CompactBudget budget;
   double min_variance_drop = 0, retire_share = CompactOptions<SE3>().retire_share;
   Search search = Search::kInformation;

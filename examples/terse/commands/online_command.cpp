@@ -20,7 +20,7 @@ using nlohmann::ordered_json;
 struct OnlineCommandOptions {
   int dimension = 0;  // 0: the first measurement tells
   std::string thresholds, journal;
-  Strategy strategy = Strategy::kFpfl;
+  std::optional<Strategy> strategy;  // absent: as the journal has it, else as CompactOptions
   std::vector<double> range, link_deviation;
   std::optional<double> probability, min_pose_gain, min_loop_gain;
   CompactBudget budget;
@@ -41,7 +41,7 @@ template <class Pose>
 CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   constexpr int kSize = Displacement<Pose>::kSize;
   CompactOptions<Pose> options;
-  options.strategy = from.strategy;
+  options.strategy = from.strategy.value_or(options.strategy);
   Thresholds<Pose>& thresholds = options.thresholds;
   if (!from.thresholds.empty()) thresholds = ReadThresholds<Pose>(from.thresholds);
   if (!from.range.empty()) {
@@ -104,6 +104,16 @@ std::string Remembered(const OnlineCommandOptions& options, const Journal* journ
   return options.run.directory.empty() ? std::to_string(kRemembered) : kAll;
 }
 
+// Unless it is said, as the journal has it; a word of no strategy is left to the comparison of headers.
+std::optional<Strategy> BegunWith(const OnlineCommandOptions& options, const Journal* journal) {
+  if (options.strategy || journal == nullptr || journal->IsNew()) return options.strategy;
+  const ordered_json begun = ParseHeader(*journal).value("strategy", ordered_json());
+  for (const auto& [word, strategy] : Words<Strategy>::kAll) {
+    if (begun == word) return strategy;
+  }
+  return std::nullopt;
+}
+
 template <class Pose>
 void Run(const OnlineCommandOptions& options, Journal* journal, LineSource& source) {
   const CompactOptions<Pose> settings = MakeOptions<Pose>(options);
@@ -137,6 +147,7 @@ void Online(OnlineCommandOptions options) {
   if (!options.journal.empty()) journal.emplace(options.journal);
   Journal* const used = journal ? &*journal : nullptr;
   options.remember = Remembered(options, used);
+  options.strategy = BegunWith(options, used);
   LineSource source;
   int dimension = KnownDimension(options, used);
   if (dimension == 0) dimension = source.FindDimension();
@@ -184,7 +195,8 @@ void AddOnlineCommand(CLI::App& app) {
   AddChoice(*command, "--strategy", options->strategy,
             Choices<Strategy>({Strategy::kApal, Strategy::kApfl, Strategy::kFpfl, Strategy::kBounded}),
             "All poses all links, all poses few links, few poses few links, or as many as the area needs: where a link "
-            "finds the robot in known terrain its chain starts anew at a kept pose");
+            "finds the robot in known terrain its chain starts anew at a kept pose; a journal goes on as it began")
+      ->default_str(Name(CompactOptions<SE2>().strategy));
   AddThresholdOptions(*command, *options);
   AddBudgetOptions(*command, options->budget);
   AddBoundedOptions(*command, options->min_variance_drop, options->retire_share);

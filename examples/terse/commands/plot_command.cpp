@@ -144,8 +144,8 @@ void AddPlotCommand(CLI::App& app) {
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   command->footer(
       "Example: terse generate ellipse --output ellipse.g2o &&\n"
-      "         terse compact ellipse.g2o --output ellipse_fpfl &&\n"
-      "         terse plot ellipse_fpfl --what trajectory,gains");
+      "         terse compact ellipse.g2o --output ellipse_compact &&\n"
+      "         terse plot ellipse_compact --what trajectory,gains");
   command->callback([options] { Plot(*options); });
 }
 

@@ -71,9 +71,9 @@ void AddReportCommand(CLI::App& app) {
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   command->footer(
       "Example: terse generate ellipse --output ellipse.g2o &&\n"
-      "         terse compact ellipse.g2o --output ellipse_fpfl &&\n"
+      "         terse compact ellipse.g2o --output ellipse_compact &&\n"
       "         terse compact ellipse.g2o --strategy apal --output ellipse_apal &&\n"
-      "         terse report ellipse_apal ellipse_fpfl");
+      "         terse report ellipse_apal ellipse_compact");
   command->callback([options] { Report(*options); });
 }
 

@@ -103,6 +103,7 @@ Sweep RunSweep(const PoseGraph<Pose>& graph, const SweepOptions& options) {
   sweep.reference = reference.kind;
   // What the scale 1 stands for.
   CompactOptions<Pose> base;
+  base.strategy = Strategy::kFpfl;
   base.log = options.log;
   if (options.thresholds.empty()) {
     SampleWithProgress(graph, options.sample, "sample", options.quiet, base);

@@ -22,7 +22,9 @@ template <class Pose>
 class TableRun {
  public:
   TableRun(const NamedGraph<Pose>& named, const CompactTableOptions& options)
-      : named_(named), options_(options), is_giant_(named.graph.Poses().size() > options.most_poses) {}
+      : named_(named), options_(options), is_giant_(named.graph.Poses().size() > options.most_poses) {
+    settings_.strategy = Strategy::kFpfl;  // the paper's, whose thresholds all but bounded have
+  }
 
   CompactTableRow Run() {
     const GraphReplay<Pose> replay(named_.graph);

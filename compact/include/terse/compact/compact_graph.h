@@ -59,7 +59,7 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions
 // does: information that nobody estimated and that the residuals contradict is scaled first (CalibrateInformation), of
 // which CompactRun::information_scale tells. With the options above nothing is scaled.
 template <class Pose>
-CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kFpfl,
+CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kBounded,
                               const AfterStep<Pose>& after_step = nullptr);
 
 // Puts thresholds from a sample of the graph (SelectThresholds) into `options`. The sample's probability, distance and

@@ -52,7 +52,7 @@ double AreaCell(const Thresholds<Pose>& thresholds) {
 
 template <class Pose>
 struct CompactOptions {
-  Strategy strategy = Strategy::kFpfl;
+  Strategy strategy = Strategy::kBounded;
   Thresholds<Pose> thresholds;
   CompactBudget budget;
   // kBounded: the share of the expected squared position error that a link or an edge must take from the map besides

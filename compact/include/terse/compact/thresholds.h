@@ -25,7 +25,7 @@ struct SampleOptions {
   DistanceOptions distance;
   // That the thresholds are for: a bounded map asks for links that tell the least that min_loop_gain may be. There an
   // edge is no pose, and what fuses costs nothing.
-  Strategy strategy = Strategy::kFpfl;
+  Strategy strategy = Strategy::kBounded;
   // Loops whose innovation exceeds this quantile (CompactOptions::innovation_quantile) are left out of the sample: for
   // graphs with wrong loops, whose covariances are right. Absent: all loops are taken for true.
   std::optional<double> innovation_quantile;

@@ -5,11 +5,11 @@
 // constant velocity, with an inflated covariance). The map searches by distance and information (compact_pose_slam.h);
 // what it wants to link goes to the verifier, best first. The features of a pose are stored when it is kept.
 //
-// What is registered: with kFpfl and kApfl, the candidates in range that promise more than min_loop_gain, best first,
-// until `most_verifications` of them have got beyond comparing descriptors. With kApal, all poses are kept, every pose
-// in range but the one before is registered, and every link that the verifier takes is added, whatever it tells; the
-// innovation test does not apply. With an AppearanceSearch given, the candidates are instead the keyframes that look
-// alike, all poses are kept and all verified links added.
+// What is registered: with kBounded, kFpfl and kApfl, the candidates in range that promise more than min_loop_gain,
+// best first, until `most_verifications` of them have got beyond comparing descriptors. With kApal, all poses are kept,
+// every pose in range but the one before is registered, and every link that the verifier takes is added, whatever it
+// tells; the innovation test does not apply. With an AppearanceSearch given, the candidates are instead the keyframes
+// that look alike, all poses are kept and all verified links added.
 //
 // Deterministic. Not thread-safe.
 
@@ -23,8 +23,8 @@
 
 namespace terse {
 
-// FPFL with thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in height, 8 m along
-// the view, 40 degrees; link covariance as verified loops have it.
+// Strategy::kBounded with thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in
+// height, 8 m along the view, 40 degrees; link covariance as verified loops have it.
 CompactOptions<SE3> StereoCompactOptions();
 
 struct StereoSlamOptions {
