@@ -53,6 +53,7 @@ struct Scene {
     scene_options.priors = true;
     graph = testing::MakeRandomGraph<Pose>(rng, scene_options).graph;
     replay.emplace(graph);
+    options.strategy = Strategy::kFpfl;
     options.thresholds.range = replay->LinkRange();
     options.thresholds.link_covariance = replay->LinkCovariance();
     options.thresholds.min_loop_gain = 0.3;
@@ -96,6 +97,7 @@ TYPED_TEST(CompactFilesTest, AMapReadsBackAndGoesOn) {
     EXPECT_EQ(read->edges[k].composed_of, map.edges[k].composed_of);
   }
   CompactOptions<Pose> options;
+  options.strategy = scene.options.strategy;
   EXPECT_EQ(ReadThresholdsDimension(folder.At("thresholds.json")), Pose::kDim);
   options.thresholds = ReadThresholds<Pose>(folder.At("thresholds.json"));
   EXPECT_EQ(options.thresholds.range, scene.options.thresholds.range);

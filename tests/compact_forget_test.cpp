@@ -59,7 +59,7 @@ TYPED_TEST(CompactForgetTest, MemoryIsThatOfTheMap) {
     EXPECT_EQ(slam.PosesSeen(), seen);
     // The laps along which kept poses hang together, the newest 40, and half as many again until the next look.
     EXPECT_LE(most, 1.5 * (2.5 * 30 + 40) + 2);
-    EXPECT_LE(most, 1.1 * most_of_first_half);
+    EXPECT_LE(most, 1.1 * static_cast<double>(most_of_first_half));
     EXPECT_LT(most, 0.3 * seen);
     EXPECT_GT(forgotten_loops, 20);
     int remembered = 0;

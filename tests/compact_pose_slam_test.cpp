@@ -59,6 +59,7 @@ TYPED_TEST(CompactPoseSlamTest, APoseItsOdometryAndARegistration) {
   const auto graph = this->RandomGraph(11);
   GraphReplay<TypeParam> replay(graph), again(graph);
   CompactOptions<TypeParam> options;
+  options.strategy = Strategy::kFpfl;
   options.thresholds.range = replay.LinkRange();
   options.thresholds.min_loop_gain = 0.5;
   options.thresholds.min_pose_gain = 2;

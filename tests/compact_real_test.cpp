@@ -35,8 +35,8 @@ std::vector<SE3> OptimumOf(const PoseGraph<Pose>& graph) {
 
 // `reference`: by pose index.
 template <class Pose>
-Outcome FewPosesFewLinks(const PoseGraph<Pose>& graph, const std::vector<SE3>& reference) {
-  const CompactRun<Pose> run = CompactGraph(graph);
+Outcome FewPosesFewLinks(const PoseGraph<Pose>& graph, const std::vector<SE3>& reference, Strategy strategy) {
+  const CompactRun<Pose> run = CompactGraph(graph, strategy);
   std::vector<SE3> estimate, truth;
   for (const auto& pose : run.slam.Trajectory()) {
     estimate.push_back(InSpace(pose.T_world_body));
@@ -50,20 +50,24 @@ Outcome FewPosesFewLinks(const PoseGraph<Pose>& graph, const std::vector<SE3>& r
 }
 
 template <class Pose>
-Outcome AgainstTheOptimum(const std::string& path) {
+Outcome AgainstTheOptimum(const std::string& path, Strategy strategy) {
   const auto graph = ReadPoseGraph<Pose>(path);
-  return FewPosesFewLinks(graph, OptimumOf(graph));
+  return FewPosesFewLinks(graph, OptimumOf(graph), strategy);
 }
+
+constexpr Strategy kFew[] = {Strategy::kFpfl, Strategy::kBounded};
 
 // Three loops in 4661 poses, and true poses.
 TEST(CompactReal, ThreeLoopsAreEnough) {
   TERSE_NEEDS(file, "graphs/real/copslam_KITTI_02_vo.g2o");
   TERSE_NEEDS(poses, "kitti/poses/02.txt");
   const auto graph = ReadPoseGraph<SE3>(file);
-  const Outcome compact = FewPosesFewLinks(graph, ReadTrajectory(poses).T_world_body);
-  EXPECT_GE(compact.links, 1);
-  EXPECT_LT(compact.metres, 1.2 * 13.1) << "all poses, all links: 13.1 m";
-  EXPECT_LT(compact.share, 0.25);
+  for (const Strategy strategy : kFew) {
+    const Outcome compact = FewPosesFewLinks(graph, ReadTrajectory(poses).T_world_body, strategy);
+    EXPECT_GE(compact.links, 1);
+    EXPECT_LT(compact.metres, 1.2 * 13.1) << "all poses, all links: 13.1 m";
+    EXPECT_LT(compact.share, 0.25);
+  }
 }
 
 TEST(CompactReal, FewLoopsInThePlane) {
@@ -73,19 +77,24 @@ TEST(CompactReal, FewLoopsInThePlane) {
   const std::vector<std::pair<std::string, double>> most = {{mit, 1}, {csail, 0.2}, {mit_p, 0.5}};
   for (const auto& [path, metres] : most) {
     SCOPED_TRACE(path);
-    const Outcome compact = AgainstTheOptimum<SE2>(path);
-    EXPECT_LT(compact.metres, metres);
-    EXPECT_LT(compact.share, 0.2);
+    const Outcome few = AgainstTheOptimum<SE2>(path, Strategy::kFpfl);
+    EXPECT_LT(few.metres, metres);
+    EXPECT_LT(few.share, 0.2);
+    const Outcome fewest = AgainstTheOptimum<SE2>(path, Strategy::kBounded);
+    EXPECT_LT(fewest.metres, 1.1 * metres);
+    EXPECT_LT(fewest.share, 0.1);
   }
 }
 
 // The unit matrix on all edges, in a run of kilometres.
 TEST(CompactReal, InformationThatNobodyEstimated) {
   TERSE_NEEDS(file, "graphs/real/turtlezhong_kitti_02.g2o");
-  const Outcome compact = AgainstTheOptimum<SE3>(file);
-  EXPECT_LT(compact.metres, 5);
-  EXPECT_LT(compact.degrees, 3);
-  EXPECT_LT(compact.share, 0.25);
+  for (const Strategy strategy : kFew) {
+    const Outcome compact = AgainstTheOptimum<SE3>(file, strategy);
+    EXPECT_LT(compact.metres, strategy == Strategy::kFpfl ? 5 : 2);
+    EXPECT_LT(compact.degrees, 3);
+    EXPECT_LT(compact.share, 0.25);
+  }
 }
 
 // A chain with noise and a few loops to any pose: with the ends of its loops kept, the map's optimum is that of the
@@ -110,6 +119,7 @@ void ExpectTheWholeGraph(std::uint64_t seed) {
     if (k > 20 && k % 15 == 0) measure(static_cast<int>(rng() % static_cast<unsigned>(k - 5)), k, kNoise);
   }
   CompactOptions<Pose> options;
+  options.strategy = Strategy::kFpfl;
   options.thresholds.range.setConstant(3);
   options.thresholds.link_covariance = kNoise * kNoise * Pose::Jacobian::Identity();
   options.thresholds.min_loop_gain = 0;
@@ -131,6 +141,14 @@ void ExpectTheWholeGraph(std::uint64_t seed) {
     apart = std::max(apart, testing::Distance(pose.T_world_body, whole.T_world_body[at]));
   }
   EXPECT_LT(apart, 0.02 * moved) << "beside what the loops changed";
+  // A bounded map has fewer of both and is little worse.
+  options.strategy = Strategy::kBounded;
+  const CompactRun<Pose> smaller = CompactGraph(graph, options);
+  EXPECT_LT(smaller.PosesKept(), run.PosesKept());
+  for (const auto& pose : smaller.slam.Trajectory()) {
+    const auto at = static_cast<std::size_t>(graph.IndexOf(pose.id));
+    EXPECT_LT(testing::Distance(pose.T_world_body, whole.T_world_body[at]), 0.1 * moved);
+  }
 }
 
 TEST(CompactRevival, AMapOfFewLoopsIsThatOfTheWholeGraph) {
