@@ -150,7 +150,7 @@ TYPED_TEST(CompactBoundedCovarianceTest, EqualsTheGraphWithAllPoses) {
   using Pose = TypeParam;
   double worst = 0, worst_relative = 0;
   int dropped = 0, by_link = 0, behind = 0, carried = 0, pairs = 0;
-  for (const std::uint64_t seed : {1U, 2U, 3U}) {  // a slow build's too: one has few loops that came along a chain
+  for (const std::uint64_t seed : {1U, 2U, 6U}) {  // a slow build's too: one has few loops that came along a chain
     SCOPED_TRACE(seed);
     LapsOptions options;
     options.noise = 0;

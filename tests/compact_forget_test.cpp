@@ -43,21 +43,23 @@ TYPED_TEST(CompactForgetTest, MemoryIsThatOfTheMap) {
     Laps<Pose> laps(seed, ManyLaps());
     laps.options.most_dropped = 40;
     CompactPoseSlam<Pose> slam(laps.options);
-    std::size_t most = 0;
+    std::size_t most = 0, most_of_first_half = 0;
     int forgotten_loops = 0;
     for (const auto& input : laps.replay.Inputs()) {
       const Decision decision = slam.AddPose(input);
       forgotten_loops += decision.loops_forgotten;
       const std::size_t remembered = slam.Trajectory().size();
       most = std::max(most, remembered);
+      if (2 * slam.PosesSeen() <= static_cast<int>(laps.replay.Inputs().size())) most_of_first_half = most;
       EXPECT_TRUE(slam.HasSeen(input.id));
       EXPECT_FALSE(slam.HasForgotten(input.id));
       for (const auto& node : slam.Solver().Graph().Poses()) ASSERT_TRUE(slam.HasSeen(node.id)) << node.id.value;
     }
     const int seen = static_cast<int>(laps.replay.Inputs().size());
     EXPECT_EQ(slam.PosesSeen(), seen);
-    // Two laps, along which kept poses hang together, and the newest 40; and half as many again until the next look.
-    EXPECT_LE(most, 1.5 * (2 * 30 + 40) + 2);
+    // The laps along which kept poses hang together, the newest 40, and half as many again until the next look.
+    EXPECT_LE(most, 1.5 * (2.5 * 30 + 40) + 2);
+    EXPECT_LE(most, 1.1 * most_of_first_half);
     EXPECT_LT(most, 0.3 * seen);
     EXPECT_GT(forgotten_loops, 20);
     int remembered = 0;
