@@ -156,7 +156,8 @@ void BoundedStep<Pose>::RegisterSightings() {
       parts_.tests.NoteFailed(failed.back());
       continue;
     }
-    // From here on it is a loop that came with the pose.
+    // From here on it is like a loop that came with the pose.
+    offer->registered = true;
     const auto is_same = [&](const Evaluated<Pose>& e) { return e.ask.offer < 0 && e.record.id == id; };
     candidates_.erase(std::find_if(candidates_.begin(), candidates_.end(), is_same));
     current_.offers.push_back(std::move(*offer));

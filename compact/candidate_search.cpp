@@ -119,7 +119,7 @@ std::vector<Evaluated<Pose>> CandidateSearch<Pose>::Evaluate(const CurrentPose<P
     if (ask.offer >= 0) {
       const Offer<Pose>& offer = current.offers[At(ask.offer)];
       e.plausible = is_candidate;
-      e.record.measured = true;
+      e.record.measured = !offer.registered;
       e.record.carried_from = offer.carried_from;
       e.record.gain = OfferGain(offer, current, e.T_pose_current, options_.thresholds.link_covariance);
       e.worth = e.record.gain;

@@ -21,6 +21,7 @@ struct Offer {
   typename Pose::Jacobian carried;  // what the chain adds to the loop's own covariance
   // From the dropped pose, if the pose at hand hangs on the same chain behind it.
   std::optional<UncertainPose<Pose>> T_dropped_current;
+  bool registered = false;  // by the map's wish: it did not come with the pose
 
   PoseId MeasuredTo() const { return carried_from.value_or(kept); }
 };

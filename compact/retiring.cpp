@@ -21,17 +21,19 @@ int LeastKept(const CompactParts<Pose>& parts) {
 
 template <class Pose>
 std::vector<RetiredPose> RetireDown(double most_loss, int least_kept, CompactParts<Pose>& parts) {
-  parts.poses_after_retiring = parts.map.Poses();
   RetireOptions retire;
   retire.most_loss = most_loss;
   retire.least_kept = least_kept;
   retire.only_odometry = parts.options.solver.robust.kernel != RobustKernel::kNone;
   retire.first_factor = parts.map.Solver().Graph().NextFactorId();
   retire.first_part = parts.links.NextPartId();
-  Retired<Pose> retired = RetirePoses(ExportMap(parts, Recovery::kV1), parts.options, retire);
-  if (retired.poses.empty()) return {};
-  ReplaceMap(retired.map, parts);
+  Retired<Pose> retired;
+  if (least_kept < parts.map.Poses()) {
+    retired = RetirePoses(ExportMap(parts, Recovery::kV1), parts.options, retire);
+    if (!retired.poses.empty()) ReplaceMap(retired.map, parts);
+  }
   parts.poses_after_retiring = parts.map.Poses();
+  if (retired.poses.empty()) return {};
   Log(parts.options.log, LogLevel::kInfo, retired.poses.size(), " poses retired, ", parts.poses_after_retiring,
       " are kept");
   return std::move(retired.poses);
@@ -53,6 +55,7 @@ std::vector<RetiredPose> RetireByShare(CompactParts<Pose>& parts) {
   try {
     return RetireDown(options.retire_share * parts.gains.MinLoopGain(), LeastKept(parts), parts);
   } catch (const NumericalError& error) {
+    parts.poses_after_retiring = parts.map.Poses();  // not again at every step
     Log(options.log, LogLevel::kInfo, "no poses retired: ", error.what());
     return {};
   }

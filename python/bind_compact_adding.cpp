@@ -115,6 +115,12 @@ Solution Finish(const Slam& slam) {
       slam.slam);
 }
 
+std::vector<RetiredPose> Retire(const Slam& slam, std::optional<double> most_loss) {
+  const Lock lock(*slam.guard, Lock::kChanging);
+  const py::gil_scoped_release release;
+  return std::visit([&](const auto& held) { return most_loss ? held->Retire(*most_loss) : held->Retire(); }, slam.slam);
+}
+
 using Type = py::class_<Slam>;
 
 void BindNewPoses(Type& type) {
@@ -198,6 +204,14 @@ void BindLateMeasurements(Type& type) {
 void BindCompactAdding(Type& type) {
   BindNewPoses(type);
   BindLateMeasurements(type);
+  type.def(
+      "retire", &Retire, py::arg("most_loss") = py::none(),
+      "Poses retire from the map: a list of RetiredPose, in the order in which they went. As "
+      "CompactOptions.retire_share has it, none where that does not apply; or, with any strategy, those whose "
+      "removal loses no more than most_loss nats each. What is left comes to its optimum, and its measurements keep "
+      "their ids.\n"
+      "ValueError for a negative loss, NumericalError if what is left has no optimum, and then nothing has "
+      "changed. Without the GIL.");
   type.def("finish", &Finish, "Iterates the kept graph to its optimum (Solution). Without the GIL.");
 }
 

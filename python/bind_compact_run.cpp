@@ -16,6 +16,7 @@ struct Compacted {
   std::vector<Decision> decisions;
   std::vector<double> step_seconds;
   int links_offered = 0, registrations_tried = 0, links_refused = 0;
+  std::vector<RetiredPose> retired;
   Solution solution;
   InformationScale scale;
 };
@@ -29,6 +30,7 @@ Compacted Hold(CompactRun<Pose> run) {
           run.links_offered,
           run.registrations_tried,
           run.links_refused,
+          std::move(run.retired),
           MakeSolution(std::move(run.result), std::move(kept)),
           run.information_scale};
 }
@@ -93,7 +95,7 @@ auto ReadSlam(const Compacted& run, const F& f) {
 
 py::tuple PickledRun(const Compacted& r) {
   return py::make_tuple(r.slam, r.decisions, r.step_seconds, r.links_offered, r.registrations_tried, r.links_refused,
-                        r.solution, PairOf(r.scale.odometry), PairOf(r.scale.loops));
+                        r.retired, r.solution, PairOf(r.scale.odometry), PairOf(r.scale.loops));
 }
 
 Compacted UnpickledRun(const py::tuple& s) {
@@ -107,8 +109,9 @@ Compacted UnpickledRun(const py::tuple& s) {
                    s[3].cast<int>(),
                    s[4].cast<int>(),
                    s[5].cast<int>(),
-                   s[6].cast<Solution>(),
-                   {scale(7), scale(8)}};
+                   s[6].cast<std::vector<RetiredPose>>(),
+                   s[7].cast<Solution>(),
+                   {scale(8), scale(9)}};
 }
 
 void BindRun(py::module_& module) {
@@ -126,6 +129,9 @@ void BindRun(py::module_& module) {
       .def_readonly("links_offered", &Compacted::links_offered, "Edges of the graph beside the odometry.")
       .def_readonly("registrations_tried", &Compacted::registrations_tried, "How many of them were tried.")
       .def_readonly("links_refused", &Compacted::links_refused, "How many the innovation test refused.")
+      .def_readonly("retired", &Compacted::retired,
+                    "List of RetiredPose, those that retired behind the last decision; Decision.retired has the "
+                    "others. A copy.")
       .def_readonly("solution", &Compacted::solution, "Solution of the kept graph.")
       .def_property_readonly(
           "odometry_scale", [](const Compacted& r) { return PairOf(r.scale.odometry); },

@@ -78,11 +78,31 @@ void BindComposedEdge(py::module_& module) {
       .def(PickleOf<ComposedEdge>("pickle ComposedEdge"));
 }
 
+void BindRetiredPose(py::module_& module) {
+  py::class_<RetiredPose>(module, "RetiredPose",
+                          "A pose that was kept, and that the map does without: marginalised into measurements between "
+                          "its neighbours.")
+      .def_property_readonly(
+          "pose_id", [](const RetiredPose& p) { return p.id.value; }, "Its id.")
+      .def_readonly("loss", &RetiredPose::loss,
+                    "Nats, of what was known of its neighbours' displacements; 0 with one or two neighbours.")
+      .def_readonly("neighbours", &RetiredPose::neighbours, "How many it had.")
+      .def_readonly("factors_removed", &RetiredPose::factors_removed, "That it had with them.")
+      .def_readonly("factors_recovered", &RetiredPose::factors_recovered, "That join them instead.")
+      .def("__repr__",
+           [](const RetiredPose& p) {
+             return "<terse.RetiredPose " + std::to_string(p.id.value) + ": " + Counted(p.neighbours, "neighbour") +
+                    ", " + SixDigits(p.loss) + " nats lost>";
+           })
+      .def(PickleOf<RetiredPose>("pickle RetiredPose"));
+}
+
 }  // namespace
 
 void BindDecision(py::module_& module) {
   BindCandidate(module);
   BindComposedEdge(module);
+  BindRetiredPose(module);
   py::class_<Decision>(module, "Decision", "What was decided on a pose, and on what grounds.")
       .def_property_readonly(
           "pose_id", [](const Decision& d) { return d.id.value; }, "The pose.")
@@ -109,16 +129,9 @@ void BindDecision(py::module_& module) {
             return ids;
           },
           "Ids of poses dropped earlier that are kept from now on, because a loop of this pose leads to them.")
-      .def_property_readonly(
-          "retired",
-          [](const Decision& d) {
-            std::vector<std::int64_t> ids;
-            for (const RetiredPose& pose : d.retired) ids.push_back(pose.id.value);
-            return ids;
-          },
-          "Strategy 'bounded': ids of poses kept earlier that are dropped ones from now on, because the map does "
-          "without "
-          "them.")
+      .def_readonly("retired", &Decision::retired,
+                    "Strategy 'bounded': list of RetiredPose, poses kept earlier that are dropped ones from now on, "
+                    "because the map does without them. A copy.")
       .def_property_readonly(
           "anchored_to",
           [](const Decision& d) {

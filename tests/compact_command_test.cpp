@@ -543,6 +543,61 @@ TEST_F(CompactCommand, PosesRetire) {
   ExpectFailure("compact in.g2o --retire -1 --output out", 2, "--retire");
 }
 
+// While the map grows, and as much as is asked for; what retired is a dropped pose like others.
+TEST_F(CompactCommand, PosesRetireAsTheMapGrows) {
+  Succeed("generate manhattan --poses 600 --output in.g2o");
+  const auto lines = [&](const std::string& folder) {
+    std::vector<nlohmann::json> out;
+    std::istringstream text(Read(folder + "/decisions.jsonl"));
+    for (std::string line; std::getline(text, line);) out.push_back(nlohmann::json::parse(line));
+    return out;
+  };
+  const auto run = [&](const std::string& options, const std::string& folder) {
+    Succeed("compact in.g2o --quiet --output " + folder + ' ' + options);
+    std::set<long> retired;
+    for (const auto& line : lines(folder)) {
+      for (const char* key : {"retired", "retired_at_end"}) {
+        for (const long id : line.value(key, nlohmann::json::array())) retired.insert(id);
+      }
+      for (const long id : line["revived"]) retired.erase(id);
+    }
+    long dropped = 0;
+    const auto graph = JsonFile(folder + "/graph.json");
+    for (const auto& pose : graph["poses"]) {
+      dropped += !pose["kept"].get<bool>();
+      if (retired.count(pose["id"]) == 0) continue;
+      EXPECT_FALSE(pose["kept"]) << pose["id"];
+      EXPECT_TRUE(pose.contains("base") && pose.contains("T_base_pose")) << pose["id"];
+    }
+    const auto stats = JsonFile(folder + "/stats.json");
+    EXPECT_EQ(stats["poses_kept"].get<long>() + dropped, stats["poses"].get<long>());
+    EXPECT_EQ(ReadTrajectory(Path(folder + "/trajectory.tum")).stamps.size(), stats["poses"].get<std::size_t>());
+    return std::pair{stats, retired.size()};
+  };
+  const auto [unsaid, unsaid_retired] = run("", "unsaid");
+  const auto [none, none_retired] = run("--retire-share 0", "none");
+  const auto [many, many_retired] = run("--retire-share 2", "many");
+  EXPECT_EQ(none["poses_retired"], 0);
+  EXPECT_EQ(none["retired_loss_nats"], 0);
+  EXPECT_EQ(none_retired, 0u);
+  EXPECT_GT(unsaid_retired, 10u);
+  EXPECT_GE(unsaid["poses_retired"], unsaid_retired);
+  EXPECT_GT(many["poses_retired"], unsaid["poses_retired"]);
+  EXPECT_GE(many["retired_loss_nats"], unsaid["retired_loss_nats"]);
+  EXPECT_LT(unsaid["poses_kept"], none["poses_kept"]);
+  run("--retire-share 0.3", "said");
+  EXPECT_EQ(Read("said/graph.json"), Read("unsaid/graph.json")) << "the default";
+  // No other strategy retires poses by itself.
+  run("--strategy fpfl", "few");
+  EXPECT_FALSE(JsonFile("few/stats.json").contains("poses_retired"));
+  run("--strategy fpfl --retire-share 5", "same");
+  EXPECT_EQ(Read("same/graph.json"), Read("few/graph.json"));
+  for (const std::string bad : {"-0.1", "nan", "inf", "some"}) {
+    ExpectFailure("compact in.g2o --output out --retire-share " + bad, 2, "--retire-share: " + bad);
+  }
+  EXPECT_FALSE(Exists("out"));
+}
+
 TEST_F(CompactCommand, OptionsThatContradictEachOther) {
   MakeScene("manhattan");
   Succeed("compact in.g2o --strategy fpfl --quiet --output a");

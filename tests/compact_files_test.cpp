@@ -118,17 +118,22 @@ TYPED_TEST(CompactFilesTest, AMapReadsBackAndGoesOn) {
   EXPECT_NEAR(from_file.Finish().chi2, chi2, 1e-9 * chi2);
 }
 
+struct Counts {
+  int candidates = 0, accepted = 0, retired = 0;
+};
+
 // What ReadRunFolder gives is what the run decided.
-TYPED_TEST(CompactFilesTest, AFolderHoldsTheRun) {
-  using Pose = TypeParam;
+template <class Pose>
+void ExpectAFolderHoldsTheRun(const Scene<Pose>& scene, Counts& counts) {
   const TestFolder folder;
-  const Scene<Pose> scene(2);
   StepRecorder<Pose> recorder(static_cast<int>(scene.graph.Poses().size()));
   const CompactRun<Pose> run = RunCompact<Pose>(
       CompactPoseSlam<Pose>(scene.options), *scene.replay,
       [&](const CompactPoseSlam<Pose>& slam, const Decision& decision, double s) { recorder.Add(slam, decision, s); });
   const RunTrajectories trajectories = MakeRunTrajectories(run.slam, Recovery::kV2, nullptr);
-  WriteRun<Pose>({run.slam, run.result, run.decisions, recorder.Steps(), trajectories}, folder.Path());
+  RunResults<Pose> results{run.slam, run.result, run.decisions, recorder.Steps(), trajectories};
+  results.retired_at_end = run.retired;
+  WriteRun(results, folder.Path());
   EXPECT_THROW(ReadRunFolder(folder.Path()), FileError) << "stats.json is the caller's";
   const std::string stats = "{\"poses_kept\": " + std::to_string(run.PosesKept()) +
                             ", \"links_kept\": " + std::to_string(run.LinksKept()) + ", \"more\": [1.50]}";
@@ -144,7 +149,12 @@ TYPED_TEST(CompactFilesTest, AFolderHoldsTheRun) {
   EXPECT_EQ(read.links.size(), static_cast<std::size_t>(run.LinksKept()));
   EXPECT_EQ(read.covariances.size(), static_cast<std::size_t>(run.PosesKept()));
   ASSERT_EQ(read.decisions.size(), run.decisions.size());
-  int candidates = 0, accepted = 0;
+  const auto expect_ids = [&](const std::vector<int>& poses, const std::vector<PoseId>& ids) {
+    ASSERT_EQ(poses.size(), ids.size());
+    for (std::size_t p = 0; p < poses.size(); ++p) {
+      EXPECT_EQ(read.ids[static_cast<std::size_t>(poses[p])], ids[p].value);
+    }
+  };
   for (std::size_t k = 0; k < run.decisions.size(); ++k) {
     const Decision& decided = run.decisions[k];
     const RunDecision& found = read.decisions[k];
@@ -166,12 +176,34 @@ TYPED_TEST(CompactFilesTest, AFolderHoldsTheRun) {
       EXPECT_EQ(b.tried, a.tried);
       EXPECT_EQ(b.measured, a.measured);
       EXPECT_EQ(b.accepted, a.accepted);
-      ++candidates;
-      accepted += b.accepted;
+      ++counts.candidates;
+      counts.accepted += b.accepted;
     }
+    std::vector<PoseId> retired;
+    for (const RetiredPose& pose : decided.retired) retired.push_back(pose.id);
+    if (k + 1 == run.decisions.size()) {
+      for (const RetiredPose& pose : run.retired) retired.push_back(pose.id);
+    }
+    expect_ids(found.retired, retired);
+    expect_ids(found.revived, decided.revived);
+    counts.retired += static_cast<int>(retired.size());
   }
-  EXPECT_GT(candidates, accepted);
-  EXPECT_GT(accepted, 0);
+}
+
+TYPED_TEST(CompactFilesTest, AFolderHoldsTheRun) {
+  Scene<TypeParam> scene(2);
+  for (const Strategy strategy : {Strategy::kFpfl, Strategy::kBounded}) {
+    SCOPED_TRACE(Name(strategy));
+    scene.options.strategy = strategy;
+    scene.options.retire_share = 20;
+    Counts counts;
+    ExpectAFolderHoldsTheRun(scene, counts);
+    if (strategy == Strategy::kFpfl) {
+      EXPECT_GT(counts.candidates, counts.accepted);
+    }
+    EXPECT_GT(counts.accepted, 0);
+    EXPECT_EQ(counts.retired > 0, strategy == Strategy::kBounded);
+  }
 }
 
 TYPED_TEST(CompactFilesTest, ARunIsEndedByItsWatch) {

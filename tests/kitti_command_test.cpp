@@ -84,6 +84,25 @@ TEST_F(KittiCommandTest, WritesTrajectoryMapLoopsAndStatistics) {
   Succeed("kitti street --output again --thresholds out/thresholds.json --quiet");
 }
 
+TEST_F(KittiCommandTest, CountsPosesThatRetire) {
+  const Outcome outcome = Succeed("kitti street --output out --frames 0:4 --retire-share 0.5");
+  const auto stats = JsonFile("out/stats.json");
+  long retired = 0;
+  std::istringstream lines(Read("out/decisions.jsonl"));
+  for (std::string line; std::getline(lines, line);) {
+    retired += static_cast<long>(nlohmann::json::parse(line).value("retired", nlohmann::json::array()).size());
+  }
+  EXPECT_EQ(stats.at("poses_retired"), retired);
+  EXPECT_GE(stats.at("retired_loss_nats"), 0);
+  EXPECT_NE(outcome.out.find(" retired; their removal lost "), std::string::npos) << outcome.out;
+  EXPECT_FALSE(Succeed("kitti street --output few --frames 0:4 --strategy fpfl").out.empty());
+  EXPECT_FALSE(JsonFile("few/stats.json").contains("poses_retired"));
+  for (const std::string bad : {"-1", "nan"}) {
+    ExpectFailure("kitti street --output bad --retire-share " + bad, 2, "--retire-share: " + bad);
+  }
+  EXPECT_FALSE(Exists("bad"));
+}
+
 TEST_F(KittiCommandTest, ChoosesFramesAndSearch) {
   EXPECT_EQ(Succeed("kitti street --output part --frames 2:6 --ground-truth truth.txt --quiet").out, "");
   EXPECT_EQ(JsonFile("part/stats.json").at("frames"), 4);

@@ -363,6 +363,47 @@ TEST_F(OnlineCommand, TellsWhereTheRobotWasFoundAgain) {
   EXPECT_NE(after.back()["error"].get<std::string>().find("factor " + edge + " is not a link"), std::string::npos);
 }
 
+// As decisions.jsonl of compact says it; a journal goes on with the share it was begun with, or not at all.
+TEST_F(OnlineCommand, TellsWhichPosesRetire) {
+  const auto lines = Measurements(200);
+  Write("in.g2o", Join(lines, 0, lines.size()));
+  Succeed("compact in.g2o --output whole --calibrate-information off --quiet");
+  const std::string online = "online --thresholds whole/thresholds.json --remember all ";
+  const auto decisions = ParseLines(Read("whole/decisions.jsonl"));
+  const auto ids = [](const std::vector<json>& answers) {
+    std::vector<json> out;
+    for (const json& line : answers) out.push_back(line.value("retired", json::array()));
+    return out;
+  };
+  const auto told = ids(ParseLines(Succeed(online + "--journal journal < in.g2o").out));
+  EXPECT_EQ(told, ids(decisions));
+  EXPECT_GT(std::count_if(told.begin(), told.end(), [](const json& list) { return !list.empty(); }), 0);
+  EXPECT_EQ(told, ids(ParseLines(Succeed(online + "--retire-share 0.3 < in.g2o").out))) << "the default";
+  const auto never = Succeed(online + "--retire-share 0 --journal never < in.g2o").out;
+  EXPECT_EQ(never.find("retired"), std::string::npos);
+  EXPECT_NE(Read("never").find("\"retire_share\":0.0,"), std::string::npos);
+  // Poses that are not in the map any more are still known, and say so.
+  json gone;
+  for (const json& list : told) {
+    if (!list.empty()) gone = list.front();
+  }
+  Write("ask", "COVARIANCE " + gone.dump() + "\n");
+  const auto resumed = ParseLines(Succeed(online + "--journal journal < ask").out);
+  ASSERT_EQ(resumed.size(), 2u);
+  EXPECT_EQ(resumed[0]["lines"], lines.size());
+  EXPECT_EQ(resumed[1]["ids"], json::array({gone}));
+  EXPECT_EQ(resumed[1]["kept"], false);
+  const std::string begun = Read("journal");
+  Write("input", "");
+  ExpectFailure(online + "--retire-share 0 --journal journal < input", 1,
+                "journal: the journal was begun with other options: retire_share is 0.3 there, 0.0 now");
+  ExpectFailure(online + "--journal never < input", 1, "retire_share is 0.0 there, 0.3 now");
+  EXPECT_EQ(Read("journal"), begun);
+  for (const std::string bad : {"-1", "nan"}) {
+    ExpectFailure(online + "--retire-share " + bad + " < input", 2, "--retire-share: " + bad);
+  }
+}
+
 // The library's run over the same lines with kOptions.
 class SameRun {
  public:

@@ -11,6 +11,7 @@
 
 #include "terse/compact/explored_area.h"
 #include "terse/compact/run_folder.h"
+#include "terse/core/error.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/trajectory.h"
@@ -131,6 +132,7 @@ class RunFolder : public testing::CommandTest {
   }
   void ExpectDecisionsAgree(const std::string& folder) const;
   void ExpectStepsAgree(const std::string& folder, bool has_truth) const;
+  void ExpectRetirementsAgree(const std::string& folder, long earlier = 0) const;
   void ExpectArraysAgree(const std::string& folder, std::size_t dof) const;
   template <class Pose>
   void ExpectPosesAgree(const json& graph, const PoseGraph<Pose>& compact, const std::string& folder) const;
@@ -530,7 +532,7 @@ TEST_F(RunFolder, BadGraphsAreNamedAndLeaveNothing) {
 // The figures of stats.json, counted in graph.json, and in the words of the summary; and what a reader makes of them.
 TEST_F(RunFolder, OfABoundedMap) {
   Succeed("generate ellipse-n --laps 4 --output in.g2o");
-  const std::string summary = Succeed("compact in.g2o --strategy bounded --output out").out;
+  const std::string summary = Succeed("compact in.g2o --strategy bounded --retire-share 0 --output out").out;
   const json graph = JsonFile("out/graph.json"), stats = JsonFile("out/stats.json");
   long anchored = 0, edges = 0, measurements = 0, fused = 0;
   for (const json& pose : graph["poses"]) anchored += pose.contains("anchored_to");
@@ -578,6 +580,116 @@ TEST_F(RunFolder, OfABoundedMap) {
   EXPECT_EQ(anchors, anchored);
   EXPECT_EQ(made, measurements) << "nothing was taken out again";
   EXPECT_EQ(run.range_m, stats["thresholds"]["range"][0].get<double>());
+  EXPECT_EQ(stats["poses_retired"], 0);
+  EXPECT_EQ(Read("out/decisions.jsonl").find("retired"), std::string::npos);
+}
+
+// What is in the map after every step, told by the decisions, is what steps.csv counts; at the end it is graph.json.
+// `earlier`: how many retired in the run that this one continues.
+void RunFolder::ExpectRetirementsAgree(const std::string& folder, long earlier) const {
+  const terse::RunFolder run = ReadRunFolder(Path(folder));
+  const auto lines = Lines(folder + "/decisions.jsonl");
+  const json stats = JsonFile(folder + "/stats.json"), graph = JsonFile(folder + "/graph.json");
+  ASSERT_EQ(lines.size(), run.decisions.size());
+  std::set<int> there;
+  std::set<std::int64_t> gone;
+  long retired = 0;
+  for (std::size_t k = 0; k < lines.size(); ++k) {
+    const RunDecision& decision = run.decisions[k];
+    if (lines[k]["kept"]) there.insert(static_cast<int>(k));
+    for (const int pose : decision.revived) EXPECT_TRUE(there.insert(pose).second) << pose << " was not in the map";
+    EXPECT_TRUE(!decision.anchored_to || there.count(*decision.anchored_to) == 1) << "at that step it was in the map";
+    const json in_step = lines[k].value("retired", json::array());
+    const json at_end = lines[k].value("retired_at_end", json::array());
+    ASSERT_EQ(decision.retired.size(), in_step.size() + at_end.size());
+    for (std::size_t r = 0; r < decision.retired.size(); ++r) {
+      if (r == in_step.size()) {
+        EXPECT_EQ(run.steps.at("poses")[k], there.size()) << "the end comes after the step";
+      }
+      const int pose = decision.retired[r];
+      const std::int64_t id = run.ids[static_cast<std::size_t>(pose)];
+      EXPECT_EQ(id, r < in_step.size() ? in_step[r] : at_end[r - in_step.size()]);
+      EXPECT_EQ(there.erase(pose), 1u) << pose << " was in the map";
+      gone.insert(id);
+      ++retired;
+    }
+    if (at_end.empty()) {
+      EXPECT_EQ(run.steps.at("poses")[k], there.size()) << k;
+    }
+  }
+  for (std::size_t k = 0; k < run.kept.size(); ++k) EXPECT_EQ(run.kept[k], there.count(static_cast<int>(k))) << k;
+  EXPECT_EQ(stats["poses_kept"], there.size());
+  EXPECT_EQ(stats["poses_retired"], retired - earlier);
+  // What retired poses leave says which.
+  long left = 0;
+  for (const json& edge : graph["edges"]) {
+    for (const json& part : edge.value("parts", json::array())) {
+      left += part["id"].get<long>() < 0 && gone.count(part["added_at"]) == 1;
+    }
+  }
+  EXPECT_EQ(left > 0, !gone.empty());
+}
+
+TEST_F(RunFolder, OfAMapThatPosesRetireFrom) {
+  for (const std::string scene : {"ellipse-n --laps 2", "manhattan --poses 600"}) {
+    SCOPED_TRACE(scene);
+    Succeed("generate " + scene + " --output in.g2o");
+    const std::string summary = Succeed("compact in.g2o --strategy bounded --output out").out;
+    const json stats = JsonFile("out/stats.json");
+    EXPECT_GT(stats["poses_retired"], 0);
+    EXPECT_NE(summary.find(stats["poses_retired"].dump() + " poses retired"), std::string::npos) << summary;
+    ExpectRetirementsAgree("out");
+    Succeed("compact in.g2o --strategy bounded --retire-share 0 --output none --quiet");
+    ExpectRetirementsAgree("none");
+    EXPECT_LT(stats["poses_kept"], JsonFile("none/stats.json")["poses_kept"]);
+    // Afterwards more of them; the record of the run stays as it was up to its end.
+    Succeed("compact in.g2o --strategy bounded --retire 3 --output more --quiet");
+    ExpectRetirementsAgree("more");
+    EXPECT_GT(JsonFile("more/stats.json")["poses_retired"], stats["poses_retired"]);
+    EXPECT_GE(JsonFile("more/stats.json")["retired_loss_nats"], stats["retired_loss_nats"]);
+    auto before = Lines("out/decisions.jsonl"), after = Lines("more/decisions.jsonl");
+    EXPECT_GT(after.back()["retired_at_end"].size(), before.back()["retired_at_end"].size());
+    for (auto* lines : {&before, &after}) lines->back().erase("retired_at_end");
+    EXPECT_EQ(before, after);
+    // Of a run without poses of its own the earlier one's last line tells, besides what that one retired.
+    Succeed("compact in.g2o --continue out --retire 3 --output later --quiet");
+    const auto later = Lines("later/decisions.jsonl");
+    ASSERT_EQ(later.size(), before.size());
+    ExpectRetirementsAgree("later", stats["poses_retired"].get<long>());
+    EXPECT_GT(later.back()["retired_at_end"].size(), Lines("out/decisions.jsonl").back()["retired_at_end"].size());
+  }
+  const std::size_t in_steps = Read("out/decisions.jsonl").find("\"retired\":[");
+  EXPECT_NE(in_steps, std::string::npos) << "not only at the end";
+}
+
+// A run continued has the retirements of both, and counts its own.
+TEST_F(RunFolder, OfAContinuedRunThatPosesRetireFrom) {
+  Succeed("generate manhattan --poses 600 --output in.g2o");
+  WritePart<SE2>(400, true, "first.g2o");
+  Succeed("compact first.g2o --strategy bounded --output first --quiet");
+  EXPECT_NE(Read("first/decisions.jsonl").find("retired_at_end"), std::string::npos);
+  Succeed("compact in.g2o --continue first --output both --quiet");
+  const auto first = Lines("first/decisions.jsonl"), both = Lines("both/decisions.jsonl");
+  ASSERT_GT(both.size(), first.size());
+  EXPECT_TRUE(std::equal(first.begin(), first.end(), both.begin()));
+  const terse::RunFolder run = ReadRunFolder(Path("both"));
+  std::size_t retired = 0, own = 0;
+  for (std::size_t k = 0; k < both.size(); ++k) {
+    retired += run.decisions[k].retired.size();
+    if (k >= first.size()) own += run.decisions[k].retired.size();
+  }
+  EXPECT_GT(own, 0u);
+  EXPECT_GT(retired, own);
+  EXPECT_EQ(JsonFile("both/stats.json")["poses_retired"], own);
+  std::string text = Read("both/decisions.jsonl");
+  text.insert(text.find("\"retired\":[") + 11, "123456,");
+  Write("both/decisions.jsonl", text);
+  try {
+    ReadRunFolder(Path("both"));
+    ADD_FAILURE() << "no such pose";
+  } catch (const FileError& error) {
+    EXPECT_NE(std::string(error.what()).find("decisions.jsonl: names pose 123456"), std::string::npos) << error.what();
+  }
 }
 
 SE3 At(double x, double y, double z) { return SE3(SO3(), Vector<3>(x, y, z)); }
@@ -625,7 +737,9 @@ TEST_F(RunFolder, IsDocumented) {
     const json parts = edge.value("parts", json::array());
     for (const json& part : parts) keys(part);
   }
-  for (const std::string folder : {"out", "bounded"}) {
+  MakeScene(2);
+  Succeed("compact in.g2o --strategy bounded --quiet --output retiring");
+  for (const std::string folder : {"out", "bounded", "retiring"}) {
     for (const json& line : Lines(folder + "/decisions.jsonl")) {
       keys(line);
       for (const json& candidate : line["candidates"]) keys(candidate);
@@ -633,6 +747,7 @@ TEST_F(RunFolder, IsDocumented) {
     }
   }
   EXPECT_EQ(names.count("parts") + names.count("anchored_to") + names.count("anchors"), 3u);
+  EXPECT_EQ(names.count("retired") + names.count("retired_at_end"), 2u);
   for (const auto& entry : std::filesystem::directory_iterator(folder_ / "out")) names.insert(entry.path().filename());
   std::istringstream header(Read("out/steps.csv").substr(0, Read("out/steps.csv").find('\n')));
   for (std::string column; std::getline(header, column, ',');) names.insert(column);

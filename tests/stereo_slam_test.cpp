@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <opencv2/core.hpp>
+#include <set>
 #include <stdexcept>
 
 #include "terse/core/evaluate.h"
@@ -77,6 +78,35 @@ TEST_F(StereoSlamTest, TheDefaultIsBounded) {
   EXPECT_LE(Kept(slam), Kept(few));
   EXPECT_EQ(slam.Map().Trajectory().size(), scene_->frames.size());
   EXPECT_LT(AteMetres(slam), 0.15);
+}
+
+// Round and round the same street with links so cheap that poses stay for them: some retire, and with them go their
+// features, no others.
+TEST_F(StereoSlamTest, ThePosesThatRetireTakeTheirFeaturesWithThem) {
+  StereoSlamOptions options = Eager(Strategy::kBounded);
+  options.compact.thresholds.min_loop_gain = 0.01;
+  options.compact.retire_share = 100;  // a nat
+  options.most_per_place = 1000;
+  StereoSlam slam(scene_->camera, options);
+  std::set<std::int64_t> in_map;
+  std::size_t retired = 0;
+  for (int frames = 0; frames < 84; ++frames) {
+    StereoFrame frame = scene_->frames[static_cast<std::size_t>(frames) % scene_->frames.size()];
+    frame.index = frames;
+    frame.time = 0.1 * frames;
+    const StereoSlamStep step = slam.AddFrame(frame);
+    if (step.decision.Kept()) in_map.insert(step.id.value);
+    ASSERT_TRUE(step.decision.revived.empty()) << "no features are stored of those";
+    for (const RetiredPose& pose : step.decision.retired) {
+      EXPECT_EQ(in_map.erase(pose.id.value), 1u);
+      EXPECT_TRUE(slam.Map().HasSeen(pose.id));
+      ++retired;
+    }
+    EXPECT_EQ(slam.Verifier().Kept(), in_map.size());
+    for (int k = 0; k <= frames; ++k) EXPECT_EQ(slam.Verifier().Has({k}), in_map.count(k) == 1) << frames << ' ' << k;
+  }
+  EXPECT_GT(retired, 0u);
+  EXPECT_EQ(Kept(slam), in_map.size());
 }
 
 TEST_F(StereoSlamTest, AllPosesAllLinksRegistersWhateverIsInRange) {

@@ -212,6 +212,13 @@ class Reader {
     }
   }
 
+  // Behind a key, if it is there.
+  void AddPoses(const nlohmann::json& from, const char* key, const std::string& path, std::vector<int>& to) const {
+    const auto list = from.find(key);
+    if (list == from.end()) return;
+    for (const auto& id : *list) to.push_back(IndexOf(id, path));
+  }
+
   RunDecision MakeDecision(const nlohmann::json& from, const std::string& path, long line) {
     RunDecision out;
     out.verdict = from.at("verdict").get<std::string>();
@@ -241,6 +248,9 @@ class Reader {
                              Optional(edge.at("gain_nats")), edge.at("fused").get<bool>()});
       }
     }
+    AddPoses(from, "revived", path, out.revived);
+    AddPoses(from, "retired", path, out.retired);
+    AddPoses(from, "retired_at_end", path, out.retired);
     return out;
   }
 

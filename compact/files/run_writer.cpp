@@ -7,6 +7,7 @@
 
 #include "npz_file.h"
 #include "terse/compact/compact_map.h"
+#include "terse/compact/json_file.h"
 #include "terse/compact/map_file.h"
 #include "terse/compact/thresholds_file.h"
 #include "terse/core/atomic_file.h"
@@ -20,6 +21,8 @@
 
 namespace terse {
 namespace {
+
+constexpr const char* kRetiredAtEnd = "retired_at_end";
 
 // The lines behind the first `skipped`, if there are so many.
 std::string Rows(const std::string& path, std::size_t skipped, std::size_t rows) {
@@ -49,11 +52,29 @@ void WriteEdges(const std::vector<ComposedEdge>& edges, std::ostream& out) {
   out << ']';
 }
 
+void WriteRetired(const char* key, const std::vector<RetiredPose>& retired, std::ostream& out) {
+  if (retired.empty()) return;
+  out << ",\"" << key << "\":[";
+  for (std::size_t k = 0; k < retired.size(); ++k) out << (k > 0 ? "," : "") << retired[k].id.value;
+  out << ']';
+}
+
+// Of a run that decided on no pose: what retired in it stands in the last line of the run that it continues.
+std::string WithRetired(const std::string& lines, const std::vector<RetiredPose>& retired, const std::string& path) {
+  if (lines.empty() || retired.empty()) return lines;
+  const std::size_t before = lines.find_last_of('\n', lines.size() - 2);
+  const std::size_t last = before == std::string::npos ? 0 : before + 1;
+  auto decision = ParseJson<nlohmann::ordered_json>(lines.substr(last), path);
+  for (const RetiredPose& pose : retired) decision[kRetiredAtEnd].push_back(pose.id.value);
+  return lines.substr(0, last) + decision.dump() + '\n';
+}
+
 // A JSON object per line.
-void WriteDecisionLines(const std::vector<Decision>& decisions, const std::string& earlier, const std::string& path) {
+void WriteDecisionLines(const std::vector<Decision>& decisions, const std::vector<RetiredPose>& retired_at_end,
+                        const std::string& earlier, const std::string& path) {
   AtomicFile file(path);
   std::ostream& out = file.Stream();
-  out << earlier;
+  out << (decisions.empty() ? WithRetired(earlier, retired_at_end, path) : earlier);
   for (const Decision& d : decisions) {
     out << "{\"pose\":" << d.id.value << ",\"kept\":" << JsonFlag(d.Kept()) << ",\"verdict\":\"" << Name(d.verdict)
         << "\",\"pose_gain_nats\":" << JsonNumber(d.pose_gain) << ",\"registrations_tried\":" << d.registrations_tried
@@ -74,13 +95,10 @@ void WriteDecisionLines(const std::vector<Decision>& decisions, const std::strin
     out << "],\"candidates_found\":" << d.candidates_found << ",\"revived\":[";
     for (std::size_t k = 0; k < d.revived.size(); ++k) out << (k > 0 ? "," : "") << d.revived[k].value;
     out << ']';
-    if (!d.retired.empty()) {
-      out << ",\"retired\":[";
-      for (std::size_t k = 0; k < d.retired.size(); ++k) out << (k > 0 ? "," : "") << d.retired[k].id.value;
-      out << ']';
-    }
+    WriteRetired("retired", d.retired, out);
     if (d.anchored_to) out << ",\"anchored_to\":" << d.anchored_to->value;
     if (!d.edges.empty()) WriteEdges(d.edges, out);
+    if (&d == &decisions.back()) WriteRetired(kRetiredAtEnd, retired_at_end, out);
     out << "}\n";
   }
   file.Commit();
@@ -186,7 +204,7 @@ double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
   WriteTum(run.trajectories.estimate, folder + "/trajectory.tum");
   if (run.trajectories.truth) WriteTum(*run.trajectories.truth, folder + "/ground_truth.tum");
   WriteDecisions(run.decisions, folder + "/decisions.csv", run.earlier.decisions_csv);
-  WriteDecisionLines(run.decisions, run.earlier.decisions_jsonl, folder + "/decisions.jsonl");
+  WriteDecisionLines(run.decisions, run.retired_at_end, run.earlier.decisions_jsonl, folder + "/decisions.jsonl");
   WriteCompactSteps(run.steps, run.earlier.steps_csv, folder + "/steps.csv");
   std::vector<PoseId> ids;
   for (const auto& node : kept.Poses()) ids.push_back(node.id);

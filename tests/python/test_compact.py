@@ -19,7 +19,7 @@ def test_against_the_command(command, ellipse, tmp_path):
     command("compact", path, "--strategy", "fpfl", "--output", tmp_path / "run", "--quiet")
     # From the file, as the command: writing rounds the information.
     graph = terse.read_graph(path)
-    slam = terse.CompactPoseSlam(terse.select_thresholds(graph).options())
+    slam = terse.CompactPoseSlam(terse.select_thresholds(graph, strategy="fpfl").options(strategy="fpfl"))
     decisions = slam.run(terse.GraphReplay(graph))
     solution = slam.finish()
     run = terse.read_run(tmp_path / "run")
@@ -66,8 +66,18 @@ def test_one_call_against_the_command(command, ellipse, tmp_path, strategy):
     assert run.odometry_scale == run.loop_scale == (1, 1)
 
 
+def laps():
+    return square(6, offsets=(37, 40, 43, 80), every=1)[0]
+
+
+def bounded_options(graph, **options):
+    return terse.select_thresholds(graph).options(strategy="bounded", **options)
+
+
 def test_a_bounded_map_says_what_it_made_of_the_links():
-    run = terse.compact(square(6, offsets=(37, 40, 43, 80), every=1)[0], strategy="bounded")
+    graph = laps()
+    run = terse.compact(graph, bounded_options(graph, retire_share=0))
+    assert not run.retired and not any(d.retired for d in run.decisions)
     kept = set(run.slam.graph().ids.tolist())
     anchored = [d for d in run.decisions if d.verdict == "anchored"]
     edges = [edge for d in run.decisions for edge in d.edges]
@@ -94,6 +104,92 @@ def test_a_bounded_map_says_what_it_made_of_the_links():
     with pytest.raises(ValueError, match="is not a link"):
         slam.remove_link(edges[-1].id)
     assert slam.links_kept <= links
+
+
+def test_poses_retire_as_a_bounded_map_grows():
+    graph = laps()
+    options = bounded_options(graph)
+    assert options.retire_share > 0
+    run = terse.compact(graph, options)
+    there, retired = set(), []
+    for decision in run.decisions:
+        if decision.kept:
+            there.add(decision.pose_id)
+        there |= set(decision.revived)
+        assert decision.anchored_to is None or decision.anchored_to in there
+        retired += decision.retired
+        there -= {pose.pose_id for pose in decision.retired}
+    retired += run.retired
+    there -= {pose.pose_id for pose in run.retired}
+    assert retired and there == set(run.slam.graph().ids.tolist())
+    for pose in retired:
+        assert 0 <= pose.loss <= options.retire_share * options.min_loop_gain
+        assert pose.neighbours >= 1 and pose.factors_removed >= pose.factors_recovered == pose.neighbours - 1
+    assert repr(retired[0]).startswith(f"<terse.RetiredPose {retired[0].pose_id}: ") and "nats lost" in repr(retired[0])
+    again = pickle.loads(pickle.dumps(run))
+    assert fates(again.retired) == fates(run.retired)
+    assert [fates(d.retired) for d in again.decisions] == [fates(d.retired) for d in run.decisions]
+    # Everything is asked for as before; what is kept by default keeps all.
+    assert len(run.trajectory()) == len(graph)
+    assert run.poses_kept < terse.compact(graph, bounded_options(graph, retire_share=0)).poses_kept
+
+
+def fates(retired):
+    return [(p.pose_id, p.loss, p.neighbours, p.factors_removed, p.factors_recovered) for p in retired]
+
+
+def test_poses_retire_when_asked():
+    graph = laps()
+    slam = terse.CompactPoseSlam(bounded_options(graph, retire_share=0))
+    slam.run(terse.GraphReplay(graph))
+    slam.finish()
+    assert slam.retire() == []  # as the options have it
+    state, kept, chi2 = slam.__getstate__(), slam.poses_kept, slam.chi2()
+    for bad in (-1, float("nan")):
+        with pytest.raises(ValueError, match="0 nats or more"):
+            slam.retire(bad)
+    with pytest.raises(TypeError):
+        slam.retire("all")
+    assert slam.__getstate__() == state
+    before = dict(slam.graph().items())
+    ids = set(slam.graph().ids.tolist())
+    few = slam.retire(most_loss=0.5)
+    assert few and all(0 <= pose.loss <= 0.5 for pose in few)
+    assert slam.poses_kept == kept - len(few)
+    assert set(slam.graph().ids.tolist()) == ids - {pose.pose_id for pose in few}
+    assert slam.retire(0.5) == []  # as many as may have gone
+    assert slam.poses_seen == len(graph) and slam.finish().converged
+    # Retiring moves nothing, to first order.
+    for pose_id, pose in slam.graph().items():
+        assert np.linalg.norm(pose - before[pose_id]) < 0.01
+    for pose in few:
+        assert slam.kept_base(pose.pose_id) in ids - {pose.pose_id for pose in few}
+    assert slam.chi2() <= chi2 * (1 + 1e-9)
+    more = slam.retire(5)
+    assert more and max(pose.loss for pose in more) > 0.5
+    # The map goes on, also from a pickle, to the last bit.
+    link = terse.RelativePose(int(graph.ids[-1]), 900, [1, 0, 0], covariance=np.full(3, 1e-3))
+    again = pickle.loads(pickle.dumps(slam))
+    assert reasons([again.add_pose(900, link)]) == reasons([slam.add_pose(900, link)])
+    assert again.chi2() == slam.chi2() and again.poses_kept == slam.poses_kept
+
+
+def test_poses_retire_by_the_share_of_the_options():
+    graph = laps()
+    options = bounded_options(graph, retire_share=0)
+    slam = terse.CompactPoseSlam(options)
+    slam.run(terse.GraphReplay(graph))
+    shared = bounded_options(graph, retire_share=0.3)
+    by_share = terse.CompactPoseSlam.restore(slam.export(), shared)
+    by_loss = terse.CompactPoseSlam.restore(slam.export(), options)
+    retired = by_share.retire()
+    assert retired and fates(retired) == fates(by_loss.retire(0.3 * shared.min_loop_gain))
+    for share in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="retiring"):
+            terse.CompactPoseSlam(bounded_options(graph, retire_share=share))
+    # With another strategy only what may be lost is said.
+    slam = terse.compact(graph, terse.select_thresholds(graph).options(strategy="apfl")).slam
+    assert slam.retire() == [] and slam.retire(3)
 
 
 def test_one_call_with_options_is_the_run_by_hand(ellipse, thresholds):
@@ -145,10 +241,11 @@ def without_loops(replay):
     return inputs
 
 
+@pytest.mark.parametrize("strategy", ["fpfl", "bounded"])
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_callback_equals_the_replay_as_registration(dimension, ellipse, thresholds):
+def test_a_callback_equals_the_replay_as_registration(dimension, strategy, ellipse, thresholds):
     graph = ellipse if dimension == 3 else square(3)[0]
-    options = (thresholds if dimension == 3 else terse.select_thresholds(graph)).options()
+    options = (thresholds if dimension == 3 else terse.select_thresholds(graph)).options(strategy=strategy)
     by_replay = terse.CompactPoseSlam(options)
     replay = terse.GraphReplay(graph)
     expected = [by_replay.add(pose, replay) for pose in without_loops(replay)]
@@ -220,7 +317,8 @@ def test_a_loop_to_a_dropped_pose_is_carried_or_brings_it_back():
 
 def test_what_is_recorded_and_how_many_are_registered(ellipse, thresholds):
     def run(loops=True, **options):
-        replay, slam = terse.GraphReplay(ellipse), terse.CompactPoseSlam(thresholds.options(**options))
+        replay = terse.GraphReplay(ellipse)
+        slam = terse.CompactPoseSlam(thresholds.options(strategy="fpfl", **options))
         return slam, [slam.add(pose, replay) for pose in (replay if loops else without_loops(replay))]
 
     slam, everything = run()

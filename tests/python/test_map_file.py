@@ -37,6 +37,7 @@ def continued(folder, path):
         before, terse.read_thresholds(folder / "thresholds.json", strategy=before.strategy)
     )
     decisions = slam.run(terse.GraphReplay(before.scaled(terse.read_graph(path)), before.ids))
+    slam.retire()
     slam.finish()
     after = slam.export()
     after.odometry_scale, after.loop_scale = before.odometry_scale, before.loop_scale
@@ -144,7 +145,7 @@ def test_what_is_wrong_is_said_and_changes_nothing(ellipse, thresholds, tmp_path
     path = tmp_path / "map.json"
     terse.write_compact_map(slam.export(), path)
     text = path.read_text()
-    (tmp_path / "no_strategy.json").write_text(text.replace('"strategy":"fpfl"', '"strategy":null', 1))
+    (tmp_path / "no_strategy.json").write_text(text.replace('"strategy":"bounded"', '"strategy":null', 1))
     unknown = terse.read_compact_map(tmp_path / "no_strategy.json")
     assert unknown.strategy is None
     with pytest.raises(ValueError, match="strategy: None, expected that of the run"):

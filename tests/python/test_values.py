@@ -52,6 +52,7 @@ def made(ellipse):
     replay = terse.GraphReplay(graph)
     return [
         next(d.edges[0] for d in bounded.decisions if d.edges), bounded.slam.export(),
+        next(iter([pose for d in bounded.decisions for pose in d.retired] + bounded.retired)),
         graph, solution, solver, run, motion, decision, decision.candidates[0], evaluation, evaluation.ate, graph_file,
         graph.edges(), graph.factor(0), graph_in(2, ellipse), ellipse, run.slam, run.slam.export(), run.trajectory(), growing.update(),
         *graph_in(3, ellipse).priors().values(), *graph_in(2, ellipse).priors().values(),
@@ -96,7 +97,7 @@ def test_reprs():
     assert repr(terse.RelativePose(3, 4, [1, 0, 0.5], information=np.ones(3))) == "<terse.RelativePose 3 -> 4: [1 0 0.5]>"
     assert repr(terse.PositionPrior(3, [1, 2.25], information=[1, 1])) == "<terse.PositionPrior on 3: [1 2.25]>"
     assert repr(terse.CompactPoseSlam(terse.CompactOptions(3))) == (
-        "<terse.CompactPoseSlam: 3D fpfl, 0 of 0 poses kept, 0 links>"
+        "<terse.CompactPoseSlam: 3D bounded, 0 of 0 poses kept, 0 links>"
     )
     assert repr(terse.IncrementalOptions()) == "terse.IncrementalOptions()"
     options = terse.CompactOptions(3, range=[1, 2, 3, 0.5], record="none", solver=terse.IncrementalOptions(threads=2))

@@ -116,6 +116,21 @@ export function makeBoundedRun({name = 'bounded', poses = 120} = {}) {
   return run;
 }
 
+// The same, of which poses retire: 18 and 24 at step 60, 30 at its end; 36 at step 60, which comes back at step 90. Pose 31
+// was dropped and comes back at step 70.
+export function makeRetiringRun({name = 'retiring'} = {}) {
+  const run = makeBoundedRun({name}), n = run.poses.id.length;
+  run.decisions.retired = run.poses.id.map((_, i) => (i === 60 ? [18, 24, 36] : i === n - 1 ? [30] : []));
+  run.decisions.revived = run.poses.id.map((_, i) => (i === 70 ? [31] : i === 90 ? [36] : []));
+  for (const i of [18, 24, 30]) run.poses.kept[i] = 0;
+  run.poses.kept[31] = 1;
+  const there = run.covariances.pose.map((i) => run.poses.kept[i] === 1);
+  for (const key of ['pose', 'position']) run.covariances[key] = run.covariances[key].filter((_, k) => there[k]);
+  run.steps.poses = run.steps.poses.map((count, k) => count - (k >= 60 ? 3 : 0) + (k >= 70 ? 1 : 0) + (k >= 90 ? 1 : 0));
+  Object.assign(run.stats, {poses_kept: 38, poses_retired: 4, retired_loss_nats: 0.25});
+  return run;
+}
+
 // As `terse report` fills the page in.
 export function fill(page, data) {
   const mark = '"@TERSE_REPORT_DATA@"';

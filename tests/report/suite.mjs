@@ -7,7 +7,7 @@ import {join} from 'node:path';
 
 import {open, picture, slide, steps} from './browser.mjs';
 import {fitsWidth, noDashes, noProblems, numbersEqual, sliderChangesPicture} from './checks.mjs';
-import {fill, makeBareRun, makeBoundedRun, makeHolesRun, makeRun, report} from './generate.mjs';
+import {fill, makeBareRun, makeBoundedRun, makeHolesRun, makeRetiringRun, makeRun, report} from './generate.mjs';
 
 const kMostBytes = 900e3;  // of the page without data
 const kSmall = {width: 700, height: 560};  // software GL is slow
@@ -145,8 +145,71 @@ const bounded = (test) => withPage(test, report(makeBoundedRun()), kSmall, async
   await noDashes(page);
 });
 
+// Poses that retire: in words, in the counts, in the plot, and on the map only as long as they were kept.
+const retiring = (test) => withPage(test, report(makeRetiringRun()), kSmall, async (page) => {
+  const run = makeRetiringRun(), id = run.poses.id;
+  await numbersEqual(page, [run.stats]);
+  await sliderChangesPicture(page);
+  assert.match(await text(page, '#subtitle'), /4 poses retired after a time in the map/);
+  assert.match(await text(page, '#figures'), /Retired\s*4\s*poses, 0.25 nats lost/);
+  assert.match(await text(page, '#tables'), /poses retired from the map\s*4[^]*information lost with retired poses, nats\s*0.25/);
+  // What the graphics card is told to draw: dots below the count that are not over yet.
+  const shown = () => page.evaluate(() => Object.fromEntries(['kept', 'dropped', 'anchored', 'retired'].map((name) => {
+    const {object, uniforms} = window.terseReport.maps[0].layers[name];
+    const until = Array.from(object.geometry.attributes.until.array).slice(0, object.geometry.drawRange.count);
+    return [name, until.filter((step) => step > uniforms.now.value).length];
+  })));
+  const counts = async () => Object.fromEntries((await page.locator('#layers label').allInnerTexts()).map((label) => label.split(/\s+(?=\d+$)/)).filter(([, count]) => count !== undefined));
+  for (const [step, kept, retired] of [[59, 20, 0], [60, 18, 3], [69, 21, 3], [70, 22, 3], [89, 28, 3], [90, 30, 2], [118, 39, 2], [119, 38, 3]]) {
+    await slide(page, step);
+    const dots = await shown(), words = await counts();
+    assert.deepEqual([dots.kept, dots.retired], [kept, retired], `dots at step ${step}`);
+    assert.equal(dots.kept + dots.retired + dots.dropped + dots.anchored, step + 1, `each pose is shown once at step ${step}`);
+    assert.deepEqual([words.kept, words.retired, words.dropped], [kept, retired, dots.dropped].map(String), `counts at step ${step}`);
+    assert.match(await text(page, '[data-plot="area"] .plot-readout'), new RegExp(`poses ${kept}\\b`), `plot at step ${step}`);
+  }
+  // Where a pose is a kept one the picture has ink that it has not any more when it retired.
+  const darkAt = (pose) => page.evaluate((i) => {
+    const {view, maps} = window.terseReport, {view: {renderer}} = window.terseReport;
+    view.draw();
+    const gl = renderer.getContext(), p = view.camera.position.clone().set(...maps[0].point(maps[0].run.position, i)).project(view.camera);
+    const pixel = new Uint8Array(4);
+    gl.readPixels(Math.round((0.5 + 0.5 * p.x) * gl.drawingBufferWidth), Math.round((0.5 + 0.5 * p.y) * gl.drawingBufferHeight), 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+    return pixel[0] + pixel[1] + pixel[2] < 250;
+  }, pose);
+  for (const layer of ['odometry', 'links', 'truth', 'candidates', 'ellipsoids']) await page.locator(`[data-layer="${layer}"]`).uncheck();
+  for (const [step, dark] of [[59, true], [60, false], [89, false], [90, true]]) {
+    await slide(page, step);
+    assert.equal(await darkAt(36), dark, `pose 36 on the map at step ${step}`);
+  }
+  await slide(page, 60);
+  assert.match(await text(page, '#decisions'), new RegExp(`3 poses retired, which the map can do without: ${id[18]}, ${id[24]}, ${id[36]}\\.`));
+  await slide(page, 70);
+  assert.match(await text(page, '#decisions'), new RegExp(`1 pose came back into the map, because a loop led there: ${id[31]}\\.`));
+  await slide(page, 24);
+  assert.match(await text(page, '#decisions'), new RegExp(`pose ${id[24]}\\s*kept[^]*It retired at the step of pose ${id[60]}: `));
+  await slide(page, 36);
+  assert.doesNotMatch(await text(page, '#decisions'), /It retired/);
+  await page.locator('#ids').fill(String(id[30]));
+  await page.locator('#ids').dispatchEvent('change');
+  assert.match(await text(page, '.chosen'), new RegExp(`Pose ${id[30]} · kept: [^·]*; retired at pose ${id[119]} ·[^]*a retired pose has no ellipsoid`));
+  await noDashes(page);
+});
+
+// The retired ones of one of two runs.
+const retiringBeside = (test) => {
+  const runs = [makeRetiringRun(), makeRun({name: 'paper', seed: 2})];
+  return withPage(test, report(...runs), kSmall, async (page) => {
+    await numbersEqual(page, runs.map(({stats}) => stats));
+    await slide(page, 119);
+    assert.match(await text(page, '#layers'), /kept\s*38 \| 40[^]*retired\s*3 \| 0/);
+    assert.match(await text(page, '#tables'), /poses retired from the map\s*4\s*not recorded/);
+    await noDashes(page);
+  });
+};
+
 const unbounded = (test) => withPage(test, report({...makeRun(), area: {cell: null, explored: []}}), kSmall, async (page) => {
-  assert.equal(await page.locator('#edges, [data-layer="anchored"]').count(), 0);
+  assert.equal(await page.locator('#edges, [data-layer="anchored"], [data-layer="retired"]').count(), 0);
   assert.match(await text(page, '[data-plot="area"]'), /range of the sensor is not known/);
 });
 
@@ -347,7 +410,7 @@ async function large(test, count) {
 export const suite = [
   ['the page is what its sources make', rebuilt], ['one run', single], ['it opens on the last kept pose', opening], ['what became of candidates', outcomes],
   ['decisions of a replay', ofAReplay],
-  ['poses found again, fused edges', bounded], ['a run without such, or range', unbounded],
+  ['poses found again, fused edges', bounded], ['poses that retire', retiring], ['poses that retire beside a run without such', retiringBeside], ['a run without such, or range', unbounded],
   ['decisions step by step', decisions], ['keyboard', keyboard],
   ['choosing a pose', choosing], ['two runs', comparison], ['two runs by share', byShare], ['2D starts from above', flat],
   ['camera coordinates', cameraCoordinates], ['without truth, covariances, steps', bare], ['holes in the data', holes], ['one pose and two', tiny],

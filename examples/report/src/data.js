@@ -45,6 +45,43 @@ function edgesOfSeveral(links, chain) {
   return [...pick(links, 'link'), ...pick(chain, 'odometry')].sort((a, b) => b.measurements - a.measurements || a.from - b.from || a.to - b.to);
 }
 
+// What poses were from which step on: [{pose, state, from, until}] in ascending order of `from`; state: kept, dropped,
+// anchored (not kept, found again at a kept pose) or retired (kept once). Where the decisions do not lead to what is kept
+// at the end, as of poses that no decision is known of, a pose was from its arrival on what it is at the end.
+function spellsOf(run, kept, anchored, isPose) {
+  const n = kept.length, {verdict = []} = run.poses, verdicts = run.verdicts ?? [];
+  const states = Array.from({length: n}, (_, i) => {
+    const why = verdicts[verdict[i]];
+    const state = why === undefined ? (kept[i] ? 'kept' : 'dropped') : why === 'anchored' ? 'anchored' : why === 'redundant' ? 'dropped' : 'kept';
+    return [{pose: i, state, from: i, until: Infinity}];
+  });
+  const change = (list, state, step) => (list ?? []).filter(isPose).forEach((i) => {
+    states[i][states[i].length - 1].until = step;
+    states[i].push({pose: i, state, from: step, until: Infinity});
+  });
+  for (let k = 0; k < n; k++) {
+    change(run.decisions?.revived?.[k], 'kept', k);
+    change(run.decisions?.retired?.[k], 'retired', k);
+  }
+  return states.map((list, i) => {
+    if ((list[list.length - 1].state === 'kept') === !!kept[i]) return list.filter(({from, until}) => from < until);
+    return [{pose: i, state: kept[i] ? 'kept' : anchored[i] ? 'anchored' : 'dropped', from: i, until: Infinity}];
+  });
+}
+
+export const stateAt = (run, pose, step) => run.spellsOf[pose].find(({from, until}) => from <= step && step < until)?.state ?? null;
+
+// counts[k]: of how many poses that is the state at step k.
+function countsOfState(spells, state, n) {
+  const counts = new Int32Array(n + 1);
+  for (const spell of spells.filter((one) => one.state === state)) {
+    counts[spell.from]++;
+    counts[Math.min(spell.until, n)]--;
+  }
+  for (let k = 1; k < n; k++) counts[k] += counts[k - 1];
+  return counts.subarray(0, n);
+}
+
 function readRun(run) {
   const {id} = run.poses;
   const n = id.length;
@@ -64,15 +101,22 @@ function readRun(run) {
     (i) => isPose(covarianceIn.pose[i]) && covarianceIn.position[i]?.every(finite));
   const anchoredTo = Array.from({length: n}, (_, i) => (isPose(run.decisions?.anchored_to?.[i]) ? run.decisions.anchored_to[i] : null));
   const anchored = Uint8Array.from(anchoredTo, (base, i) => (base !== null && !kept[i] ? 1 : 0));
+  const spellsOfPoses = spellsOf(run, kept, anchored, isPose);
+  const spells = spellsOfPoses.flat().sort((a, b) => a.from - b.from || a.pose - b.pose);
   return {
     name: String(run.name ?? 'run'), dimension: run.dimension === 2 ? 2 : 3, n, id, kept, position, truth, links, chain,
     covariances, verdict: run.poses.verdict ?? [], verdicts: run.verdicts ?? [],
-    anchoredTo, anchored, anchoredBy: countsByStep(Array.from(anchored.keys()).filter((i) => anchored[i]), n), ofSeveral: edgesOfSeveral(links, chain),
+    anchoredTo, anchored, ofSeveral: edgesOfSeveral(links, chain),
+    spells, spellsOf: spellsOfPoses, everKept: Uint8Array.from(spellsOfPoses, (list) => (list.some(({state}) => state === 'kept') ? 1 : 0)),
+    // The step of its retirement, of a pose that is retired at the end.
+    retiredAt: spellsOfPoses.map((list) => (list[list.length - 1].state === 'retired' ? list[list.length - 1].from : null)),
+    lastChange: spells.reduce((last, {state, from}) => (state === 'kept' || state === 'retired' ? Math.max(last, from) : last), 0),
+    keptBy: countsOfState(spells, 'kept', n), droppedBy: countsOfState(spells, 'dropped', n),
+    anchoredBy: countsOfState(spells, 'anchored', n), retiredBy: countsOfState(spells, 'retired', n),
     area: run.area?.explored?.length ? {cell: run.area.cell, explored: run.area.explored} : null,
     decisions: run.decisions ?? {}, steps: run.steps ?? {}, gate: run.gate, gateUnit: run.gate_unit,
     thresholds: run.thresholds ?? {}, stats: run.stats ?? {},
     indexOfId: new Map(id.map((value, i) => [value, i])),
-    keptBy: countsByStep(Array.from(kept.keys()).filter((i) => kept[i]), n),
     linksBy: countsByStep(links.step, n),
     covarianceOf: new Map(covariances.pose.map((pose, i) => [pose, covariances.position[i]])),
   };

@@ -1,7 +1,7 @@
 // The panel that explains one step of one run, and the pose that was clicked.
 
 import {isNumber} from './data.js';
-import {composedAt, explain, fate, madeOf, outcome, verdictInShort} from './explain.js';
+import {composedAt, explain, fate, madeOf, othersAt, outcome, verdictInShort} from './explain.js';
 import {element, integer, number, percent} from './format.js';
 import {halfAxes} from './scene3d.js';
 
@@ -65,7 +65,7 @@ function chosenPose(run, k, onStep) {
   const sizes = covariance && halfAxes(covariance, run.dimension).slice(0, run.dimension).map((axis) => number(Math.hypot(...axis), 3));
   return element('div', {class: 'chosen'},
     element('strong', {}, `Pose ${run.id[k]}`), ` · ${fate(run, k)} · at (${p.join(', ')}) m · `,
-    sizes ? `95 % half axes ${sizes.join(', ')} m` : run.kept[k] ? 'no covariance given' : 'a dropped pose has no ellipsoid here', ' ',
+    sizes ? `95 % half axes ${sizes.join(', ')} m` : run.kept[k] ? 'no covariance given' : `a ${run.retiredAt[k] === null ? 'dropped' : 'retired'} pose has no ellipsoid here`, ' ',
     element('button', {type: 'button', class: 'link-button', onclick: () => onStep(k)}, 'go to its step'), edgesAt(run, k));
 }
 
@@ -83,13 +83,14 @@ export function showDecision(node, run, k, {named, chosen, onStep}) {
   const parts = [
     element('div', {class: 'card-head'},
       element('h2', {}, named ? `${run.name}: ` : '', `pose ${run.id[k]}`),
-      element('span', {class: `badge ${run.kept[k] ? 'badge-kept' : run.anchored[k] ? 'badge-anchored' : 'badge-dropped'}`},
-        run.kept[k] ? 'kept' : run.anchored[k] ? 'not kept' : 'dropped', verdictInShort(run, k) && element('span', {class: 'badge-why'}, verdictInShort(run, k)))),
+      element('span', {class: `badge ${run.everKept[k] ? 'badge-kept' : run.anchored[k] ? 'badge-anchored' : 'badge-dropped'}`},
+        run.everKept[k] ? 'kept' : run.anchored[k] ? 'not kept' : 'dropped', verdictInShort(run, k) && element('span', {class: 'badge-why'}, verdictInShort(run, k)))),
     element('p', {class: 'explanation'}, explain(run, k)),
+    ...othersAt(run, k).map((sentence) => element('p', {class: 'others'}, sentence)),
     gauge(decisions.pose_gain?.[k], run.thresholds.min_pose_gain),
     element('dl', {class: 'counts'},
       [['tried', known ? count('registrations') : 'not recorded', 'registrations at this step'], ['accepted', known ? count('accepted') : 'not recorded', 'links of this step'],
-        ['refused', known ? count('refused') : 'not recorded', 'by the innovation test'], ['poses', `${integer(keptSoFar)} (${percent(keptSoFar, k + 1)})`, 'kept so far'],
+        ['refused', known ? count('refused') : 'not recorded', 'by the innovation test'], ['poses', `${integer(keptSoFar)} (${percent(keptSoFar, k + 1)})`, 'in the map then'],
         ['links', integer(run.linksBy[k]), 'kept so far']]
         .map(([name, value, why]) => element('div', {title: why}, element('dt', {}, name), element('dd', {}, value)))),
     composedList(run, k),

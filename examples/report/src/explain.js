@@ -17,18 +17,24 @@ export function verdictOf(run, k) {
 
 export function verdictInShort(run, k) {
   const verdict = verdictOf(run, k);
-  if (verdict === 'redundant' && run.kept[k]) return 'back for a later loop';
+  if (verdict === 'redundant' && run.everKept[k]) return 'back for a later loop';
   if (verdict === 'redundant' && run.stats.strategy === 'rfpfl') return 'not drawn';
   return kShort[verdict] ?? verdict ?? '';
 }
 
 export function fate(run, k) {
-  const why = verdictInShort(run, k);
-  return `${run.kept[k] ? 'kept' : 'dropped'}${why ? `: ${why}` : ''}`;
+  const why = verdictInShort(run, k), retired = run.retiredAt[k];
+  return `${run.everKept[k] ? 'kept' : 'dropped'}${why ? `: ${why}` : ''}${retired === null ? '' : `; retired at pose ${run.id[retired]}`}`;
 }
 
-// One or two sentences on why pose k was kept or dropped.
+// Some sentences on why pose k was kept or dropped, and on what became of it.
 export function explain(run, k) {
+  const retired = run.retiredAt[k];
+  if (retired === null) return explainVerdict(run, k);
+  return `${explainVerdict(run, k)} It retired at the step of pose ${run.id[retired]}: the map knows the place well enough without it, and what was measured at it went into measurements between its neighbours.`;
+}
+
+function explainVerdict(run, k) {
   const verdict = verdictOf(run, k);
   const gain = run.decisions.pose_gain?.[k], threshold = run.thresholds.min_pose_gain;
   const accepted = run.decisions.accepted?.[k] ?? 0, tried = run.decisions.registrations?.[k] ?? 0;
@@ -43,12 +49,12 @@ export function explain(run, k) {
     case 'informative':
       return `Even the least informative link to a kept pose would bring ${nats(gain)}, more than the threshold of ${nats(threshold)}: the place is not known well enough from the poses around.`;
     case 'redundant':
-      if (run.kept[k]) return 'It was dropped at first. A later loop led to it and told more than could be carried along its odometry, so it came back into the map.';
+      if (run.everKept[k]) return 'It was dropped at first. A later loop led to it and told more than could be carried along its odometry, so it came back into the map.';
       if (run.stats.strategy === 'rfpfl') return 'The lot did not fall on this pose; its odometry goes into that of the next kept one.';
       return `The least informative link to a kept pose would bring only ${nats(gain)}, not more than the threshold of ${nats(threshold)}: the kept poses know this place already. Its odometry goes into that of the next kept pose.`;
     case 'anchored': return explainAnchored(run, k);
     case 'drawn': return 'The lot fell on this pose: strategy rfpfl keeps poses at random.';
-    default: return run.kept[k] ? 'The pose is part of the map.' : 'The pose is not part of the map; its place is recovered from the kept poses around it.';
+    default: return run.everKept[k] ? 'The pose is part of the map.' : 'The pose is not part of the map; its place is recovered from the kept poses around it.';
   }
 }
 
@@ -71,9 +77,26 @@ export function composedAt(run, k) {
 
 function explainAnchored(run, k) {
   const base = run.anchoredTo[k], made = run.decisions.edges?.[k]?.length ?? 0;
-  if (run.kept[k]) return 'It was found again at first. A later loop led to it and told more than could be carried along its chain, so it came back into the map.';
+  if (run.everKept[k]) return 'It was found again at first. A later loop led to it and told more than could be carried along its chain, so it came back into the map.';
   return `A link found the robot in known terrain: its chain starts anew at kept pose ${base === null ? 'unknown' : run.id[base]}, with the link's own precision, and the pose is not kept. `
     + (made > 0 ? `Together with the chain or with each other, further links made ${plural(made, 'measurement')} between kept poses.` : 'Its links told the map too little for an edge between kept poses.');
+}
+
+const kMostNamed = 12;
+
+// "3, 17 and 4 more"
+function named(run, poses) {
+  const ids = poses.slice(0, kMostNamed).map((i) => run.id[i] ?? 'unknown').join(', ');
+  return poses.length > kMostNamed ? `${ids} and ${integer(poses.length - kMostNamed)} more` : ids;
+}
+
+// Sentences on which other poses came back into the map and which retired from it at step k.
+export function othersAt(run, k) {
+  const revived = run.decisions.revived?.[k] ?? [], retired = run.decisions.retired?.[k] ?? [];
+  return [
+    revived.length > 0 && `${plural(revived.length, 'pose')} came back into the map, because a loop led there: ${named(run, revived)}.`,
+    retired.length > 0 && `${plural(retired.length, 'pose')} retired, which the map can do without: ${named(run, retired)}.`,
+  ].filter(Boolean);
 }
 
 const kNoLink = {word: 'the file has no such link', why: 'in range, but no edge of the file joins the two poses'};
@@ -109,8 +132,10 @@ export function titleOf(run) {
   const of = isNumber(offered) ? ` of ${integer(offered)}` : '';
   const anchored = run.anchoredBy[run.n - 1] ?? 0;
   const again = anchored > 0 ? `; ${plural(anchored, 'pose was', 'poses were')} found again at kept ones` : '';
+  const gone = (run.decisions.retired ?? []).reduce((sum, list) => sum + list.length, 0);  // some may have come back
+  const retired = gone > 0 ? `; ${plural(gone, 'pose')} retired after a time in the map` : '';
   return {
     short: `${integer(kept)}\u202f/\u202f${integer(run.n)} poses, ${plural(links, 'link')}`,
-    long: `keeps ${integer(kept)} of ${plural(run.n, 'pose')} and ${integer(links)}${of} ${links === 1 && !of ? 'link' : 'links'} beside the odometry${again}`,
+    long: `keeps ${integer(kept)} of ${plural(run.n, 'pose')} and ${integer(links)}${of} ${links === 1 && !of ? 'link' : 'links'} beside the odometry${again}${retired}`,
   };
 }

@@ -25,9 +25,12 @@ function prepare(object, order) {
 // Nearer to the eye than it is, so that dots are not cut by the lines that end in them.
 const kLift = 'gl_Position.z -= lift * 1e-4 * gl_Position.w;';
 
+// A dot is outside the picture from the step `until` on.
 const kDotVertex = `
-uniform float size, pixelRatio, dotScale, lift;
+attribute float until;
+uniform float size, pixelRatio, dotScale, lift, now;
 void main() {
+  if (until <= now) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); gl_PointSize = 1.0; return; }
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
   ${kLift}
   gl_PointSize = size * dotScale * pixelRatio;
@@ -46,12 +49,15 @@ void main() {
   gl_FragColor = vec4(colour, alpha * opacity);
 }`;
 
-// `positions`: x, y, z of each dot, in the order in which they appear.
-export function dots(positions, {size, stroke = 0, lift = 1, opacity = 1, order = 0}) {
+// `positions`: x, y, z of each dot, in the order in which they appear; `until`: the value of the uniform `now` from which on
+// a dot is there no more, if not for ever.
+export function dots(positions, {size, stroke = 0, lift = 1, opacity = 1, order = 0, until = []}) {
   const geometry = new BufferGeometry();
   geometry.setAttribute('position', new BufferAttribute(new Float32Array(positions), 3));
+  const ends = Float32Array.from({length: positions.length / 3}, (_, i) => Math.min(until[i] ?? Infinity, 1e30));
+  geometry.setAttribute('until', new BufferAttribute(ends, 1));
   geometry.setDrawRange(0, 0);
-  const uniforms = {size: {value: size}, stroke: {value: stroke}, lift: {value: lift}, opacity: {value: opacity}, colour: colourUniform()};
+  const uniforms = {size: {value: size}, stroke: {value: stroke}, lift: {value: lift}, opacity: {value: opacity}, colour: colourUniform(), now: {value: 0}};
   const object = prepare(new Points(geometry, material(kDotVertex, kDotFragment, uniforms, {depthWrite: opacity === 1})), order);
   return {object, uniforms, show: (count) => geometry.setDrawRange(0, count)};
 }

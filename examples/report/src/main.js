@@ -18,6 +18,7 @@ const kMagnifications = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 1
 const kLayerWords = {
   kept: ['kept', 'poses of the map'], dropped: ['dropped', 'poses left out, recovered from the kept ones around them'],
   anchored: ['found again', 'poses not kept whose chain starts anew at a kept pose'],
+  retired: ['retired', 'poses that were kept for a time, until the map could do without them'],
   odometry: ['odometry', 'edges along the way; over dropped poses one edge'], links: ['links', 'edges beside the odometry, coloured by gain'],
   truth: ['truth', 'ground truth, laid over the estimate'], candidates: ['candidates', 'kept poses considered for a link at this step; solid: accepted'],
   ellipsoids: ['ellipsoids', '95 % of the position, of the poses chosen below'],
@@ -63,7 +64,7 @@ class Page {
     $('decisions').append(...this.panels);
 
     const events = this.runs.flatMap((run, r) => this.positionsOfLinks(run, r));
-    this.timeline = new Timeline($('player'), this.alignment.count, [...new Set(events)].sort((a, b) => a - b), this.lastKept(), () => this.showStep());
+    this.timeline = new Timeline($('player'), this.alignment.count, [...new Set(events)].sort((a, b) => a - b), this.lastChange(), () => this.showStep());
     this.timeline.label = (position) => this.label(position);
     if (this.several) this.timeline.extra.append(this.alignmentChoice());
     this.plots = new Plots($('plots'), this.runs, (position) => this.timeline.jump(position));
@@ -102,9 +103,10 @@ class Page {
     return out;
   }
 
-  // The position at which the last kept pose of every run has come in: from there on the maps do not change.
-  lastKept() {
-    return this.runs.reduce((position, run, r) => Math.max(position, this.alignment.indices[r].findIndex((k) => k >= run.kept.lastIndexOf(1))), 0);
+  // The position at which the last kept pose of every run has come in, and the last one retired: from there on the maps do
+  // not change.
+  lastChange() {
+    return this.runs.reduce((position, run, r) => Math.max(position, this.alignment.indices[r].findIndex((k) => k >= run.lastChange)), 0);
   }
 
   label(position) {
@@ -181,14 +183,14 @@ class Page {
 
   has(name) {
     return this.runs.some((run) => ({
-      kept: true, dropped: run.kept.some((kept, i) => !kept && !run.anchored[i]), anchored: run.anchored.includes(1), odometry: run.chain.from.length > 0, links: run.links.from.length > 0, truth: !!run.truth,
+      kept: true, ...Object.fromEntries(['dropped', 'anchored', 'retired'].map((is) => [is, run.spells.some(({state}) => state === is)])), odometry: run.chain.from.length > 0, links: run.links.from.length > 0, truth: !!run.truth,
       candidates: run.decisions.candidates?.length > 0, ellipsoids: run.covariances.pose.length > 0,
     })[name]);
   }
 
   layerChips() {
     this.chipCounts = {};
-    $('layers').append(...kLayers.filter((name) => name !== 'anchored' || this.has(name)).map((name) => {
+    $('layers').append(...kLayers.filter((name) => !['anchored', 'retired'].includes(name) || this.has(name)).map((name) => {
       const [label, why] = kLayerWords[name], has = this.has(name);
       const box = element('input', {type: 'checkbox', checked: has, disabled: !has, 'data-layer': name, onchange: () => {
         for (const map of this.maps) map.setVisible(name, box.checked);
@@ -280,8 +282,9 @@ class Page {
     this.paneCounts();
     const sum = (of) => this.runs.map((run, r) => of(run, this.indexOf(r), r)).map(integer).join(' | ');
     this.chipCounts.kept.textContent = sum((run, k) => run.keptBy[k] ?? 0);
-    this.chipCounts.dropped.textContent = sum((run, k) => (run.n ? k + 1 - run.keptBy[k] - run.anchoredBy[k] : 0));
+    this.chipCounts.dropped.textContent = sum((run, k) => run.droppedBy[k] ?? 0);
     if (this.chipCounts.anchored) this.chipCounts.anchored.textContent = sum((run, k) => run.anchoredBy[k] ?? 0);
+    if (this.chipCounts.retired) this.chipCounts.retired.textContent = sum((run, k) => run.retiredBy[k] ?? 0);
     this.chipCounts.links.textContent = sum((run, k) => run.linksBy[k] ?? 0);
   }
 

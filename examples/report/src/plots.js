@@ -19,16 +19,22 @@ function runningSum(list) {
   return list?.map((x) => (sum += x ?? 0));
 }
 
+// Counts after each step; after the last one those of the map, from which poses may have retired at the end of the run.
+function untilTheEnd(steps, counts) {
+  return steps && counts.length > 0 ? [...steps.slice(0, counts.length - 1), counts[counts.length - 1]] : Array.from(counts);
+}
+
 // What to plot of one run. A series: label, values by step; `dots` without a line. `dash` tells the second series where
 // colours tell the runs.
 function chartsOf(run) {
   const {steps, decisions, thresholds} = run;
   const gate = (open) => positive(steps.gate_value)?.map((x, i) => (steps.gate_open?.[i] === open ? x : null));
+  const poses = untilTheEnd(steps.poses, run.keptBy), links = untilTheEnd(steps.links, run.linksBy);
   return [
-    {key: 'counts', title: 'Poses and links kept', series: [{label: 'poses', values: steps.poses ?? Array.from(run.keptBy)},
-      {label: 'links', values: steps.links ?? Array.from(run.linksBy), dash: true}]},
+    {key: 'counts', title: 'Poses and links kept', series: [{label: 'poses', values: poses},
+      {label: 'links', values: links, dash: true}]},
     {key: 'area', title: 'Kept poses and explored area', unit: run.area ? `in cells of ${number(run.area.cell, 3)} m, the range` : '',
-      series: [{label: 'poses', values: run.area && (steps.poses ?? Array.from(run.keptBy))},
+      series: [{label: 'poses', values: run.area && poses},
         {label: 'area', values: run.area?.explored, dash: true, right: true, format: squareMetres}],
       empty: 'The range of the sensor is not known, so there are no cells to count.'},
     {key: 'gain', title: 'Greatest gain of the links of a step', unit: 'nats', threshold: thresholds.min_loop_gain,

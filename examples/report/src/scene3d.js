@@ -3,11 +3,11 @@
 import {Scene} from 'three';
 
 import {kRampSize, rgbVariable} from './colour.js';
-import {isNumber, kChi2} from './data.js';
+import {isNumber, kChi2, stateAt} from './data.js';
 import {principalAxes} from './eigen.js';
 import {colourUniform, dots, ellipsoids, hairlines, marker, segments} from './layers.js';
 
-export const kLayers = ['kept', 'dropped', 'anchored', 'odometry', 'links', 'truth', 'candidates', 'ellipsoids'];
+export const kLayers = ['kept', 'dropped', 'anchored', 'retired', 'odometry', 'links', 'truth', 'candidates', 'ellipsoids'];
 const kMostCandidates = 512, kMostChosen = 64;  // drawn at a time
 
 // The half axes of the 95 % ellipsoid of a position, long ones first, metres.
@@ -41,9 +41,9 @@ export class MapScene {
       odometry: add(segments(this.pairs('odometry', run.chain, 'to', () => -1), {width: many ? 1.1 : 1.5, order: 2})),
       links: add(manyLinks ? hairlines(this.pairs('links', run.links, 'step', level), {order: 3, opacity: 0.7})
         : segments(this.pairs('links', run.links, 'step', level), {width: run.links.from.length > 500 ? 1.5 : 2.4, order: 3, opacity: 0.9})),
-      dropped: add(dots(this.points('dropped', (i) => !run.kept[i] && !run.anchored[i]), {size: many ? 3.2 : 5, stroke: many ? 0 : 1.2, order: 4})),
-      anchored: add(dots(this.points('anchored', (i) => run.anchored[i]), {size: many ? 3.2 : 5, stroke: many ? 0 : 1.2, order: 4})),
-      kept: add(dots(this.points('kept', (i) => run.kept[i]), {size: many ? 4 : 7, order: 5, lift: 2})),
+      ...Object.fromEntries(['dropped', 'anchored', 'retired'].map((state) => [state,
+        add(this.posesIn(state, {size: many ? 3.2 : 5, stroke: many ? 0 : 1.2, order: 4}))])),
+      kept: add(this.posesIn('kept', {size: many ? 4 : 7, order: 5, lift: 2})),
     };
     this.candidateColours = {value: []};
     this.candidates = add(segments([], {width: 2, order: 7, lift: 3, dashBelow: 0.5, capacity: kMostCandidates,
@@ -59,15 +59,18 @@ export class MapScene {
     return [position.x[i] - this.centre[0], position.y[i] - this.centre[1], position.z[i] - this.centre[2]];
   }
 
-  // x, y, z of the poses that `wanted` takes.
-  points(name, wanted) {
-    const list = [], counts = this.counts[name] = new Int32Array(this.run.n);
-    for (let i = 0; i < this.run.n; i++) {
-      const p = this.point(this.run.position, i);
-      if (wanted(i) && p.every(isNumber)) list.push(...p);
-      counts[i] = list.length / 3;
+  // Dots of the poses while they are in a state: from a step on by how many are drawn, until another by what the dots know.
+  posesIn(state, options) {
+    const positions = [], until = [], counts = this.counts[state] = new Int32Array(this.run.n);
+    for (const spell of this.run.spells) {
+      const p = this.point(this.run.position, spell.pose);
+      if (spell.state !== state || !p.every(isNumber)) continue;
+      positions.push(...p);
+      until.push(spell.until);
+      counts[spell.from]++;
     }
-    return list;
+    for (let k = 1; k < this.run.n; k++) counts[k] += counts[k - 1];
+    return dots(positions, {...options, until});
   }
 
   // Segments between poses, in ascending order of the step columns[key].
@@ -110,7 +113,10 @@ export class MapScene {
   update() {
     const {run, step, visible} = this;
     if (run.n === 0) return;
-    for (const [name, layer] of Object.entries(this.layers)) layer.show(visible[name] ? this.counts[name][step] : 0);
+    for (const [name, layer] of Object.entries(this.layers)) {
+      layer.show(visible[name] ? this.counts[name][step] : 0);
+      if (layer.uniforms.now) layer.uniforms.now.value = step;
+    }
     const here = this.point(run.position, step);
     const known = here.every(isNumber);
     this.current.move(known ? here : null);
@@ -158,7 +164,7 @@ export class MapScene {
 
   setTheme() {
     const set = (layer, name) => layer.uniforms.colour.value.set(...rgbVariable(name));
-    const names = {kept: '--kept', dropped: '--dropped', anchored: '--anchored', odometry: '--odometry', links: '--no-gain', truth: '--truth'};
+    const names = {kept: '--kept', dropped: '--dropped', anchored: '--anchored', retired: '--retired', odometry: '--odometry', links: '--no-gain', truth: '--truth'};
     for (const [name, layer] of Object.entries(this.layers)) set(layer, names[name]);
     set(this.current, '--current');
     set(this.currentDot, '--current');
@@ -182,10 +188,11 @@ export class MapScene {
   pick(project, x, y, reach) {
     let best = null, least = reach;
     for (let i = 0; i <= this.step && i < this.run.n; i++) {
-      if (!this.visible[this.run.kept[i] ? 'kept' : this.run.anchored[i] ? 'anchored' : 'dropped']) continue;
+      const state = stateAt(this.run, i, this.step);
+      if (!this.visible[state]) continue;
       const at = project(this.point(this.run.position, i));
       if (!at) continue;
-      const distance = Math.hypot(at[0] - x, at[1] - y) - (this.run.kept[i] ? 3 : 0);
+      const distance = Math.hypot(at[0] - x, at[1] - y) - (state === 'kept' ? 3 : 0);
       if (distance < least) [best, least] = [i, distance];
     }
     return best;

@@ -8,6 +8,7 @@ const kLabels = {
   poses: 'poses of the input', edges: 'edges of the input', loop_edges: 'loop edges of the input', poses_kept: 'poses kept', links_kept: 'links kept',
   links_offered: 'links offered', links_refused: 'links refused by the innovation test', registrations_tried: 'registrations tried',
   poses_anchored: 'poses found again at kept ones', edges_composed: 'edges that hold composed measurements', measurements_composed: 'measurements composed of links', edges_fused: 'edges fused of several measurements',
+  poses_retired: 'poses retired from the map', retired_loss_nats: 'information lost with retired poses, nats',
   chi2: 'χ² of the map', normalized_chi2: 'χ² per measured scalar', log_determinant: 'ln det H', peak_rss_mb: 'peak memory, MB',
   'step_seconds.median': 'median', 'step_seconds.p95': '95th percentile', 'step_seconds.p99': '99th percentile', 'step_seconds.max': 'greatest',
   'sample.poses': 'poses', 'sample.loop_gain_90': '90th percentile of loop gains, nats', 'sample.pose_gain_90': '90th percentile of pose gains, nats',
@@ -15,7 +16,7 @@ const kLabels = {
 };
 const kGroups = {seconds: 'Time', step_seconds: 'Time of a step', sample: 'Sample that thresholds were chosen from', errors: 'Errors', odometry_errors: 'Errors of the odometry alone',
   milliseconds_per_frame: 'Milliseconds per frame', robust: 'Robust cost'};
-const kOrder = ['strategy', 'poses', 'poses_kept', 'loop_edges', 'edges', 'links_offered', 'links_kept', 'poses_anchored', 'edges_composed', 'measurements_composed', 'edges_fused', 'registrations_tried', 'links_refused', 'chi2',
+const kOrder = ['strategy', 'poses', 'poses_kept', 'loop_edges', 'edges', 'links_offered', 'links_kept', 'poses_anchored', 'edges_composed', 'measurements_composed', 'edges_fused', 'poses_retired', 'retired_loss_nats', 'registrations_tried', 'links_refused', 'chi2',
   'normalized_chi2', 'converged', 'termination', 'iterations'];
 const kThresholds = {
   range: ['Sensor range', 'displacements within it can be registered'], probability: ['Least probability', 'of being in range, per dimension'],
@@ -141,6 +142,8 @@ export function showFigures(node, runs) {
     ['Poses kept', (run) => [integer(run.keptBy[run.n - 1] ?? 0), `of ${integer(run.n)}`]],
     ['Links kept', (run) => [integer(run.linksBy[run.n - 1] ?? 0), isNumber(run.stats.links_offered) ? `of ${integer(run.stats.links_offered)}` : 'beside the odometry']],
     ...(runs.some((run) => isNumber(run.stats.poses_anchored)) ? [['Found again', (run) => [integer(run.anchoredBy[run.n - 1] ?? 0), 'poses, at kept ones']]] : []),
+    ...(runs.some((run) => run.stats.poses_retired > 0) ? [['Retired', (run) => [isNumber(run.stats.poses_retired) ? integer(run.stats.poses_retired) : '0',
+      isNumber(run.stats.retired_loss_nats) ? `poses, ${number(run.stats.retired_loss_nats, 2)} nats lost` : 'poses']]] : []),
     ['Registrations', (run) => [isNumber(run.stats.registrations_tried) ? integer(run.stats.registrations_tried) : isNumber(run.stats.compared) ? integer(run.stats.compared) : 'not recorded', 'tried']],
     ['Error (ATE)', (run) => {
       const ate = run.stats.errors?.ate_m;

@@ -81,8 +81,7 @@ void AddBoundedOptions(CLI::App& command, double& min_variance_drop, double& ret
   command
       .add_option("--retire-share", retire_share,
                   "Strategy bounded: as the map grows kept poses retire (are marginalised) whose removal loses no more "
-                  "than this "
-                  "share of what a link must tell; 0: none")
+                  "than this share of what a link must tell; 0: none")
       ->check(NonNegativeNumber())
       ->capture_default_str()
       ->type_name("SHARE");

@@ -275,7 +275,8 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
                                  options.recovery,
                                  options.read.rotation_information,
                                  before.rows,
-                                 calibrated.scale};
+                                 calibrated.scale,
+                                 run.retired};
   stats.seconds_covariance = WriteRun(results, options.directory);
   stats.seconds_total = SecondsNow() - start;
   WriteJson(ToJson(stats), options.directory + "/stats.json");

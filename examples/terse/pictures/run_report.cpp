@@ -101,14 +101,16 @@ Json Chain(const RunFolder& run) {
 }
 
 Json Decisions(const RunFolder& run) {
-  Json out = {{"pose_gain", Json::array()}, {"registrations", Json::array()}, {"accepted", Json::array()},
-              {"refused", Json::array()},   {"anchored_to", Json::array()},   {"edges", Json::array()},
-              {"candidates", Json::array()}};
+  Json out = {{"pose_gain", Json::array()},   {"registrations", Json::array()}, {"accepted", Json::array()},
+              {"refused", Json::array()},     {"revived", Json::array()},       {"retired", Json::array()},
+              {"anchored_to", Json::array()}, {"edges", Json::array()},         {"candidates", Json::array()}};
   for (const RunDecision& decision : run.decisions) {
     out["pose_gain"].push_back(Short(decision.pose_gain));
     out["registrations"].push_back(decision.registrations_tried);
     out["accepted"].push_back(decision.links_accepted);
     out["refused"].push_back(decision.links_refused);
+    out["revived"].push_back(decision.revived);
+    out["retired"].push_back(decision.retired);
     out["anchored_to"].push_back(decision.anchored_to ? Json(*decision.anchored_to) : Json());
     Json edges = Json::array();
     for (const RunComposedEdge& edge : decision.edges) {

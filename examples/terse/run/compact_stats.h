@@ -29,6 +29,9 @@ struct RetiredCounts {
   long poses = 0;
   double loss = 0;  // nats, of all together
 };
+// `at_end`: behind the last decision.
+std::optional<RetiredCounts> CountRetired(Strategy strategy, const std::vector<Decision>& decisions,
+                                          const std::vector<RetiredPose>& at_end = {});
 template <class Pose>
 std::optional<RetiredCounts> CountRetired(const CompactRun<Pose>& run);
 // Besides, at the end of a run, those that lose no more than this.

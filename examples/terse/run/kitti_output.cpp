@@ -77,6 +77,7 @@ Json StatsToJson(const KittiRun& run, const KittiSequence& sequence, const std::
   json["poses_kept"] = slam.Map().Solver().Graph().Poses().size();
   json["links_kept"] = slam.Map().LinksKept();
   AddTo(json, CountComposed(slam.Map()));
+  AddTo(json, CountRetired(slam.Map().Options().strategy, run.decisions));
   json["keyframes_stored"] = slam.Verifier().Kept();
   json["feature_bytes"] = slam.Verifier().Bytes();
   json["chi2"] = run.result.chi2;
@@ -174,7 +175,8 @@ void PrintKittiSummary(const KittiRun& run, const std::optional<KittiErrors>& er
                 Name(run.slam.Map().Options().strategy), kept,
                 100.0 * static_cast<double>(kept) / std::max(1, t.frames), run.slam.Map().LinksKept(), t.candidates,
                 t.compared, t.verified, t.refused);
-  std::cout << line << Describe(CountComposed(run.slam.Map()));
+  std::cout << line << Describe(CountComposed(run.slam.Map()))
+            << Describe(CountRetired(run.slam.Map().Options().strategy, run.decisions));
   if (errors) {
     PrintErrors("map", errors->map);
     PrintErrors("odometry", errors->odometry);

@@ -128,7 +128,9 @@ class TableRun {
     RequireFolder(folder, "decisions.csv");
     const RunTrajectories trajectories = MakeRunTrajectories(run.slam, Recovery::kV2, truth_ ? &*truth_ : nullptr);
     Stats stats = MakeStats(named_.graph, run, EvaluateRun(trajectories, Pose::kDim));
-    stats.seconds_covariance = WriteRun<Pose>({run.slam, run.result, run.decisions, steps, trajectories}, folder);
+    RunResults<Pose> results{run.slam, run.result, run.decisions, steps, trajectories};
+    results.retired_at_end = run.retired;
+    stats.seconds_covariance = WriteRun(results, folder);
     stats.seconds_total = run.Seconds() + stats.seconds_covariance;
     WriteJson(ToJson(stats), folder + "/stats.json");
     WriteReport({folder}, folder + "/report.html");

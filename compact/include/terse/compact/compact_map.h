@@ -38,10 +38,12 @@ struct CompactMap {
   };
   // One of the measurements that make an edge together.
   struct Part {
-    FactorId id;                // CompactPoseSlam::RemoveLink takes it; -1 of several that are one by now
-    PoseId added_at;            // the pose at whose step it came in
-    double gain = 0;            // nats; of odometry 0
-    std::vector<PoseId> links;  // composed: where its links lead to from that pose; one link goes with the pose's chain
+    FactorId id;      // CompactPoseSlam::RemoveLink takes it; -1 of several that are one by now
+    PoseId added_at;  // the pose at whose step it came in, or that retired and left it (retire_poses.h)
+    double gain = 0;  // nats; of odometry, and of what a retired pose left, 0
+    // Composed: where its links lead to from that pose; one link goes with the pose's chain. Left by a retired pose:
+    // its two neighbours.
+    std::vector<PoseId> links;
     UncertainPose<Pose> T_from_to;  // from the smaller id of the edge's ends to the larger
     long measurements = 1;
   };

@@ -63,6 +63,9 @@ struct RunDecision {
   std::vector<RunCandidate> candidates;
   std::optional<int> anchored_to;
   std::vector<RunComposedEdge> edges;
+  // By their places in the order of arrival: poses that came back into the map, and those that it did without from
+  // then on; of the run's last decision those, too, that retired at the end of the run.
+  std::vector<int> revived, retired;
 };
 
 struct RunFolder {

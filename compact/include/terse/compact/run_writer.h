@@ -50,7 +50,8 @@ struct RunResults {
   Recovery recovery = Recovery::kV2;
   RotationInformation rotation_information = RotationInformation::kQuaternion;
   RunRows earlier = {};
-  InformationScale information_scale = {};  // of the measurements that the run saw, against those of the file
+  InformationScale information_scale = {};       // of the measurements that the run saw, against those of the file
+  std::vector<RetiredPose> retired_at_end = {};  // behind the last decision
 };
 // The folder is there (its stats.json, if any, is removed first: it is the last file of a run). Returns the seconds
 // that covariances took. Throws FileError, NumericalError.

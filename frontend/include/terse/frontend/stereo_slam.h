@@ -3,7 +3,8 @@
 //
 // Every frame is offered to the map with the odometry since the frame before it, also where tracking was lost (then by
 // constant velocity, with an inflated covariance). The map searches by distance and information (compact_pose_slam.h);
-// what it wants to link goes to the verifier, best first. The features of a pose are stored when it is kept.
+// what it wants to link goes to the verifier, best first. The features of a pose are stored when it is kept, and
+// forgotten when it retires.
 //
 // What is registered: with kBounded, kFpfl and kApfl, the candidates in range that promise more than min_loop_gain,
 // best first, until `most_verifications` of them have got beyond comparing descriptors. With kApal, all poses are kept,
