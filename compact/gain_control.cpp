@@ -65,9 +65,17 @@ void GainControl<Pose>::Enter(const CompactOptions<Pose>& options, const Pose& T
 
 template <class Pose>
 double GainControl<Pose>::DensityExponent(double poses_per_area, int poses) const {
-  const double wanted = poses_per_area * static_cast<double>(cells_.Count());
+  const double wanted = WantedPoses(poses_per_area);
   const double window = std::max(kDensityWindow * wanted, kLeastDensityWindow);
   return kSteepness * std::clamp((poses - wanted) / window, kLeastExcess, kMostExcess);
+}
+
+template <class Pose>
+int GainControl<Pose>::PosesTooMany(const CompactBudget& budget) const {
+  double excess = 0;
+  if (budget.keep_poses) excess = excess_poses_;
+  if (budget.poses_per_area) excess = poses_kept_ - WantedPoses(*budget.poses_per_area);
+  return excess > 0 ? static_cast<int>(std::min(excess, 1.0 * std::max(poses_kept_, 0))) : 0;
 }
 
 template <class Pose>

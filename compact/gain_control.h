@@ -33,6 +33,9 @@ class GainControl {
   void Resume(const CompactOptions<Pose>& options, int poses_kept, int links_kept,
               const std::vector<Pose>& T_world_body);
 
+  // That the map has above a budget of poses; 0 without one.
+  int PosesTooMany(const CompactBudget& budget) const;
+
   struct Kept {
     int poses = 0, links = 0;  // of the map by now
     int new_loops = 0;         // that came with the pose,
@@ -50,6 +53,7 @@ class GainControl {
 
  private:
   void Enter(const CompactOptions<Pose>& options, const Pose& T_world_body);
+  double WantedPoses(double poses_per_area) const { return poses_per_area * static_cast<double>(cells_.Count()); }
   double DensityExponent(double poses_per_area, int poses) const;
 
   double min_loop_gain_ = 0, min_pose_gain_ = 0, min_edge_gain_ = 0;

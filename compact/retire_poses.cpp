@@ -64,7 +64,7 @@ class Retirement {
 
   Retired<Pose> Run() {
     for (const auto& node : graph_.Poses()) LookAt(node.id);
-    while (!order_.empty()) {
+    for (int kept = static_cast<int>(graph_.Poses().size()); kept > retire_.least_kept && !order_.empty(); --kept) {
       const PoseId pose = order_.begin()->second;
       const Plan plan = plans_.at(pose);
       Retire(plan);
@@ -82,6 +82,7 @@ class Retirement {
 
   struct Plan {
     PoseId pose, before;          // the odometry comes from
+    PoseId heir;                  // of its ground
     std::optional<PoseId> after;  // it leads on to
     FactorId odometry, odometry_after;
     std::vector<PoseId> neighbours;
@@ -127,7 +128,8 @@ class Retirement {
   bool HasFewNeighbours(PoseId pose) const;
   std::optional<Plan> MakePlan(PoseId pose) const;
   bool FindOdometry(Plan& plan) const;
-  bool IsKnownWell(const Plan& plan) const;
+  bool KnowsWell(PoseId kept, PoseId pose) const;
+  std::optional<PoseId> FindHeir(const Plan& plan) const;
   UncertainPose<Pose> OdometryTo(PoseId kept, FactorId factor) const;
   UncertainPose<Pose> Between(PoseId a, PoseId b) const;
   void Retire(const Plan& plan);
@@ -143,6 +145,7 @@ class Retirement {
   internal::RetiredChains<Pose> chains_;
   std::map<FactorId, Edge> edges_;
   std::map<PoseId, std::set<FactorId>> factors_at_;
+  std::map<PoseId, std::vector<PoseId>> ground_of_;  // those that retired because this one knows them well
   std::set<PoseId> stays_;
   std::map<PoseId, Plan> plans_;
   std::set<std::pair<double, PoseId>> order_;
@@ -176,16 +179,28 @@ bool Retirement<Pose>::FindOdometry(Plan& plan) const {
   return is_found;
 }
 
-// The test of FPFL (pose_step.h), of the neighbours.
+// The test of FPFL (pose_step.h).
 template <class Pose>
-bool Retirement<Pose>::IsKnownWell(const Plan& plan) const {
+bool Retirement<Pose>::KnowsWell(PoseId kept, PoseId pose) const {
   const Thresholds<Pose>& thresholds = options_.thresholds;
-  return std::any_of(plan.neighbours.begin(), plan.neighbours.end(), [&](PoseId neighbour) {
-    const UncertainPose<Pose> known = Between(neighbour, plan.pose);
-    const auto displacement = ComputeDisplacement<Pose>(known, options_.distance);
-    return RangeProbabilities<Pose>(displacement, thresholds.range).minCoeff() > thresholds.probability &&
-           InformationGain<Pose::kDof>(known.covariance, thresholds.link_covariance) <= thresholds.min_pose_gain;
-  });
+  const UncertainPose<Pose> known = Between(kept, pose);
+  const auto displacement = ComputeDisplacement<Pose>(known, options_.distance);
+  return RangeProbabilities<Pose>(displacement, thresholds.range).minCoeff() > thresholds.probability &&
+         InformationGain<Pose::kDof>(known.covariance, thresholds.link_covariance) <= thresholds.min_pose_gain;
+}
+
+// Of the neighbours one that the pose leaves its ground to: one that knows it well, and those too that retired in its
+// favour.
+template <class Pose>
+std::optional<PoseId> Retirement<Pose>::FindHeir(const Plan& plan) const {
+  const auto ground = ground_of_.find(plan.pose);
+  const auto knows_all = [&](PoseId neighbour) {
+    if (!KnowsWell(neighbour, plan.pose)) return false;
+    return ground == ground_of_.end() || std::all_of(ground->second.begin(), ground->second.end(),
+                                                     [&](PoseId retired) { return KnowsWell(neighbour, retired); });
+  };
+  const auto heir = std::find_if(plan.neighbours.begin(), plan.neighbours.end(), knows_all);
+  return heir != plan.neighbours.end() ? std::optional<PoseId>(*heir) : std::nullopt;
 }
 
 // Asked of every neighbour of a pose that retires, so not at the price of a hub's degree.
@@ -219,7 +234,9 @@ std::optional<typename Retirement<Pose>::Plan> Retirement<Pose>::MakePlan(PoseId
     }
     arms[At(static_cast<int>(at))].Add(pose, edge.measured);
   }
-  if (!IsKnownWell(plan)) return std::nullopt;
+  const std::optional<PoseId> heir = FindHeir(plan);
+  if (!heir) return std::nullopt;
+  plan.heir = *heir;
   std::optional<std::pair<int, int>> must;
   if (plan.after) {
     const auto place = [&](PoseId id) {
@@ -270,6 +287,13 @@ void Retirement<Pose>::Retire(const Plan& plan) {
     ++retired.factors_removed;
   }
   factors_at_.erase(plan.pose);
+  std::vector<PoseId>& ground = ground_of_[plan.heir];
+  const auto own = ground_of_.find(plan.pose);
+  if (own != ground_of_.end()) {
+    ground.insert(ground.end(), own->second.begin(), own->second.end());
+    ground_of_.erase(own);
+  }
+  ground.push_back(plan.pose);
   for (const auto& factor : plan.tree.factors) {
     Edge edge = MakeEdge(plan, factor, measurements);
     FuseWithOther(edge, plan.pose);

@@ -11,12 +11,19 @@ namespace {
 constexpr double kGrowth = 0.1;
 constexpr int kLeastGrowth = 50;
 
-}  // namespace
+// Poses that a budget asks for are not given up.
+template <class Pose>
+int LeastKept(const CompactParts<Pose>& parts) {
+  const CompactBudget& budget = parts.options.budget;
+  if (!budget.keep_poses && !budget.poses_per_area) return 0;
+  return parts.map.Poses() - parts.gains.PosesTooMany(budget);
+}
 
 template <class Pose>
-std::vector<RetiredPose> Retire(double most_loss, CompactParts<Pose>& parts) {
+std::vector<RetiredPose> RetireDown(double most_loss, int least_kept, CompactParts<Pose>& parts) {
   RetireOptions retire;
   retire.most_loss = most_loss;
+  retire.least_kept = least_kept;
   retire.only_odometry = parts.options.solver.robust.kernel != RobustKernel::kNone;
   retire.first_factor = parts.map.Solver().Graph().NextFactorId();
   retire.first_part = parts.links.NextPartId();
@@ -29,6 +36,13 @@ std::vector<RetiredPose> Retire(double most_loss, CompactParts<Pose>& parts) {
   return std::move(retired.poses);
 }
 
+}  // namespace
+
+template <class Pose>
+std::vector<RetiredPose> Retire(double most_loss, CompactParts<Pose>& parts) {
+  return RetireDown(most_loss, 0, parts);
+}
+
 template <class Pose>
 std::vector<RetiredPose> RetireByShare(CompactParts<Pose>& parts) {
   const CompactOptions<Pose>& options = parts.options;
@@ -36,7 +50,7 @@ std::vector<RetiredPose> RetireByShare(CompactParts<Pose>& parts) {
                    options.solver.robust.kernel == RobustKernel::kNone;
   if (!may) return {};
   try {
-    return Retire(options.retire_share * parts.gains.MinLoopGain(), parts);
+    return RetireDown(options.retire_share * parts.gains.MinLoopGain(), LeastKept(parts), parts);
   } catch (const NumericalError& error) {
     parts.poses_after_retiring = parts.map.Poses();  // not again at every step
     Log(options.log, LogLevel::kInfo, "no poses retired: ", error.what());

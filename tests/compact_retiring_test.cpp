@@ -91,7 +91,6 @@ TYPED_TEST(CompactRetiringTest, DecisionsTellWhoRetires) {
     const double most_loss = laps.options.thresholds.min_loop_gain;
     for (const RetiredPose& pose : slam.Retire(most_loss)) retired += kept.erase(pose.id);
     EXPECT_EQ(KeptBy(slam), kept);
-    EXPECT_TRUE(slam.Retire().empty()) << "they may lose less";
     const auto solved = SolveBatch(slam.Solver().Graph());
     EXPECT_NEAR(slam.Finish().chi2, solved.chi2, 1e-6 * (1 + solved.chi2));
     EXPECT_EQ(slam.Trajectory().size(), laps.replay.Inputs().size());

@@ -284,6 +284,47 @@ TYPED_TEST(RetirePosesTest, LeavesPosesThatMayNot) {
   EXPECT_TRUE(RetirePoses(CompactMap<Pose>(), options).poses.empty());
 }
 
+// On a road that is mapped more densely than needed, of poses that all have a neighbour in reach, every pose is known
+// well by one that stays, and twice the reach apart is the most that they get.
+TYPED_TEST(RetirePosesTest, LeavesNoGroundUncovered) {
+  using Pose = TypeParam;
+  constexpr int B = Pose::kDof;
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
+    SCOPED_TRACE(seed);
+    Random rng(seed);
+    PoseGraph<Pose> graph;
+    Pose T;
+    for (int k = 0; k < 60; ++k) {
+      typename Pose::Tangent step = Pose::Tangent::Zero();
+      step[0] = testing::Uniform(rng, 0.4, 1.6);
+      const Pose T_step = Pose().Retract(step);
+      T = T * T_step;
+      graph.AddPose(PoseId{k}, T);
+      if (k == 0) continue;
+      graph.AddFactor(RelativePoseFactor<Pose>{PoseId{k - 1}, PoseId{k}, T_step, 1e6 * Matrix<B, B>::Identity()});
+    }
+    auto options = testing::OptionsFor(GraphReplay<Pose>(graph), Strategy::kApal);
+    options.thresholds.range.setConstant(5);
+    options.thresholds.min_pose_gain = 1e3;
+    const CompactMap<Pose> map = Run(graph, options).Export();
+    const Retired<Pose> out = RetirePoses(map, options, {kAnyLoss});
+    std::vector<double> kept;
+    for (const auto& pose : out.map.poses) {
+      if (pose.kept) kept.push_back(pose.T_world_body.Translation()[0]);
+    }
+    EXPECT_LT(kept.size(), 25u);
+    for (const auto& pose : map.poses) {
+      double nearest = 1e9;
+      for (const double x : kept) nearest = std::min(nearest, std::abs(x - pose.T_world_body.Translation()[0]));
+      EXPECT_LT(nearest, 5.1) << pose.id.value;
+    }
+    // It ends where it is told to.
+    const auto fewer = RetirePoses(map, options, {kAnyLoss, 4, false, {0}, {-2}, 50});
+    EXPECT_EQ(fewer.poses.size(), 10u);
+    EXPECT_TRUE(RetirePoses(map, options, {kAnyLoss, 4, false, {0}, {-2}, 60}).poses.empty());
+  }
+}
+
 TYPED_TEST(RetirePosesTest, MoreRetireTheMoreTheyMayLose) {
   using Pose = TypeParam;
   std::size_t all[4] = {0, 0, 0, 0};

@@ -61,7 +61,8 @@ struct CompactOptions {
   double min_variance_drop = 0;
   // kBounded: as the map grows, kept poses retire whose removal loses no more than this share of min_loop_gain
   // (retire_poses.h); 0: none. Whenever it has grown by a tenth and 50 poses, so the time of a step is one of the whole
-  // map then, and a small part of the run's. Not with a robust kernel, nor with CompactBudget::error.
+  // map then, and a small part of the run's. Not with a robust kernel, nor with CompactBudget::error; with a budget of
+  // poses only what is above it.
   double retire_share = 0.3;
   // A pose is a candidate for a link when it is within range (Thresholds::probability), or when the range meets the
   // ellipsoid that holds the displacement with this probability: a map that has drifted far knows no displacement well,
