@@ -137,6 +137,7 @@ void ExpectLoopsToDroppedPoses() {
   std::vector<Pose> truth;
   const auto graph = Wander<Pose>(truth);
   CompactOptions<Pose> options;
+  options.strategy = Strategy::kFpfl;
   options.thresholds.range.setConstant(4);
   options.thresholds.min_loop_gain = 0.3;
   options.thresholds.min_pose_gain = 2 * Pose::kDof;

@@ -239,16 +239,19 @@ TEST(PublicDataTest, IncrementalStaysNearTheOptimumOnSphere2500) {
 
 // Few poses, few links, with thresholds from a sample of the set, as the command does it.
 template <class Pose>
-void RunFewPosesFewLinks(const std::string& path) {
-  const auto graph = Load<Pose>(path);
+void RunFewPosesFewLinks(const PoseGraph<Pose>& graph, const std::string& path, Strategy strategy) {
+  SCOPED_TRACE(Name(strategy));
   GraphReplay<Pose> replay(graph);
   CompactOptions<Pose> options;
-  options.thresholds = SelectThresholds(graph).thresholds;
+  options.strategy = strategy;
+  SampleOptions sample;
+  sample.strategy = strategy;
+  options.thresholds = SelectThresholds(graph, sample).thresholds;
   CompactPoseSlam<Pose> slam(options);
   std::size_t kept = 0;
   for (const auto& input : replay.Inputs()) {
     const Decision decision = slam.AddPose(input);
-    kept += (decision.Kept() ? 1 : 0) + decision.revived.size();
+    kept += (decision.Kept() ? 1 : 0) + decision.revived.size() - decision.retired.size();
   }
   EXPECT_TRUE(slam.Finish().Converged());
   EXPECT_EQ(slam.Solver().Graph().Poses().size(), kept);
@@ -259,6 +262,11 @@ void RunFewPosesFewLinks(const std::string& path) {
   const auto trajectory = slam.Trajectory();
   ASSERT_EQ(trajectory.size(), graph.Poses().size());
   for (const auto& pose : trajectory) EXPECT_TRUE(graph.HasPose(pose.id));
+}
+template <class Pose>
+void RunFewPosesFewLinks(const std::string& path) {
+  const auto graph = Load<Pose>(path);
+  for (const Strategy strategy : {Strategy::kFpfl, Strategy::kBounded}) RunFewPosesFewLinks(graph, path, strategy);
 }
 
 TEST(PublicDataTest, CompactRunOverParkingGarage) {

@@ -120,6 +120,7 @@ TYPED_TEST(RecoveryTest, V2IsTheMostLikelyChainBetweenItsEnds) {
         {PoseId{k}, PoseId{k + 1}, testing::RandomMotion<Pose>(rng, 1, 0.3), testing::RandomInformation<B>(rng, 1000)});
   }
   CompactOptions<Pose> options;
+  options.strategy = Strategy::kFpfl;
   options.thresholds.range.setConstant(10);
   options.thresholds.min_loop_gain = 0.01;
   options.thresholds.min_pose_gain = 1e9;

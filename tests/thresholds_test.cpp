@@ -109,6 +109,7 @@ template <class Pose>
 void ExpectAsRecorded(const PoseGraph<Pose>& graph, double share, double tolerance) {
   SCOPED_TRACE("share " + std::to_string(share));
   SampleOptions options;
+  options.strategy = Strategy::kFpfl;
   options.share = share;
   const auto chosen = SelectThresholds(graph, options);
   ASSERT_EQ(chosen.sample_poses, std::lround(share * static_cast<double>(graph.Poses().size())));
@@ -284,8 +285,14 @@ TYPED_TEST(ThresholdsTest, AreBounded) {
         graph.AddFactor(link);
       }
     }
-    const auto chosen = SelectThresholds(graph);
+    SampleOptions options;
+    options.strategy = Strategy::kFpfl;
+    const auto chosen = SelectThresholds(graph, options);
     ExpectFormulas(chosen);
+    // What a bounded map asks of a link does not depend on the sample.
+    const auto bounded = SelectThresholds(graph);
+    EXPECT_EQ(bounded.thresholds.min_loop_gain, 0.425 * Pose::kDof);
+    EXPECT_EQ(bounded.thresholds.min_pose_gain, chosen.thresholds.min_pose_gain);
     if (scale < 1) {
       EXPECT_EQ(chosen.thresholds.min_loop_gain, 0.5 * Pose::kDof);
       EXPECT_EQ(chosen.thresholds.min_pose_gain, 0.9 * Pose::kDof);
@@ -293,6 +300,34 @@ TYPED_TEST(ThresholdsTest, AreBounded) {
       EXPECT_EQ(chosen.thresholds.min_loop_gain, 1.5 * Pose::kDof);
       EXPECT_GE(chosen.thresholds.min_pose_gain, 0.9 * 1.5 * Pose::kDof);
     }
+  }
+}
+
+// The rarer loops are the less is asked of one: at none per pose next to nothing, at one for two poses all.
+TYPED_TEST(ThresholdsTest, RareLoopsAreAskedForLess) {
+  using Pose = TypeParam;
+  const auto scene = this->Scene(8);
+  const GraphReplay<Pose> replay(scene.graph);
+  double last = 0;
+  for (const int loops : {1, 2, 4, 8, 16}) {
+    PoseGraph<Pose> graph;
+    int left = loops, poses = 0;
+    for (const auto& node : scene.graph.Poses()) graph.AddPose(node.id, node.T_world_body), ++poses;
+    for (const auto& input : replay.Inputs()) {
+      if (input.odometry) graph.AddFactor(*input.odometry);
+      for (const auto& loop : *input.loops) {
+        if (left-- > 0) graph.AddFactor(loop);
+      }
+    }
+    const double share = std::min(1.0, 2.0 * loops / poses);
+    const double most = (0.02 + 1.48 * std::pow(share, 1.5)) * Pose::kDof;
+    SampleOptions options;
+    EXPECT_NEAR(SelectThresholds(graph, options).thresholds.min_loop_gain, std::min(0.425 * Pose::kDof, most), 1e-12);
+    options.strategy = Strategy::kFpfl;
+    const double few = SelectThresholds(graph, options).thresholds.min_loop_gain;
+    EXPECT_LE(few, most * (1 + 1e-12));
+    EXPECT_GE(few, last);
+    last = few;
   }
 }
 
@@ -321,7 +356,7 @@ TYPED_TEST(ThresholdsTest, TheSampleIsWhatWasAskedFor) {
   options.share = 1e-3;
   const auto none = SelectThresholds(graph, options);
   EXPECT_EQ(none.sample_poses, 0);
-  EXPECT_EQ(none.thresholds.min_loop_gain, 0.5 * TypeParam::kDof);
+  EXPECT_EQ(none.thresholds.min_loop_gain, 0.425 * TypeParam::kDof);
   EXPECT_TRUE(none.thresholds.range == GraphReplay<TypeParam>(graph).LinkRange());
 }
 
