@@ -23,10 +23,9 @@
 
 namespace terse {
 
-// Thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in height, 8 m along the view,
-// 40 degrees; link covariance as verified loops have it. With kBounded, where most links tell of the map without a pose
-// that is kept for them, a quarter of the nats is asked of them.
-CompactOptions<SE3> StereoCompactOptions(Strategy strategy = Strategy::kBounded);
+// Strategy::kBounded with thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in
+// height, 8 m along the view, 40 degrees; link covariance as verified loops have it.
+CompactOptions<SE3> StereoCompactOptions();
 
 struct StereoSlamOptions {
   CompactOptions<SE3> compact = StereoCompactOptions();
