@@ -83,6 +83,12 @@ double BoundedStep<Pose>::MapGain(const UncertainPose<Pose>& known, const Jacobi
   return InformationGain<Pose::kDof>(known.covariance - chain, Sigma_link + chain);
 }
 
+// Whether a link to a kept pose may end the chain in an edge, by what it tells of the map with the chain, nats.
+template <class Pose>
+bool BoundedStep<Pose>::TellsEnough(PoseId kept, double map_gain) const {
+  return kept != current_.base && map_gain > LeastEdgeGain(current_.base, kept, parts_);
+}
+
 // Of the loops to each kept pose the most precise, and none that was carried along odometry of the map if there is
 // another. Those along the pose's own chain go.
 template <class Pose>
@@ -166,18 +172,21 @@ void BoundedStep<Pose>::RegisterSightings() {
   }
 }
 
-// A second one only if the map would learn from it. nullptr if there is none.
+// A second one only if the map would learn from the two: from an edge of one, while the other starts the chain anew.
+// nullptr if there is none.
 template <class Pose>
 Evaluated<Pose>* BoundedStep<Pose>::NextToRegister(const std::vector<Failed>& failed) {
-  const auto tells_enough = [&](const Evaluated<Pose>& e) {
-    return e.record.id != current_.base && MapGain(e.T_pose_current, parts_.options.thresholds.link_covariance) >
-                                               LeastEdgeGain(current_.base, e.record.id, parts_);
+  const bool first_tells =
+      !sightings_.empty() && TellsEnough(OfferOf(sightings_.front()).kept, sightings_.front().map_gain);
+  const auto tells = [&](const Evaluated<Pose>& e) {
+    if (sightings_.empty()) return e.record.gain > parts_.gains.MinLoopGain();
+    return first_tells ||
+           TellsEnough(e.record.id, MapGain(e.T_pose_current, parts_.options.thresholds.link_covariance));
   };
   Evaluated<Pose>* best = nullptr;
   for (Evaluated<Pose>& e : candidates_) {
-    if (e.ask.offer >= 0 || e.record.tried || e.record.gain <= parts_.gains.MinLoopGain()) continue;
+    if (e.ask.offer >= 0 || e.record.tried || !tells(e)) continue;
     if (current_.IsLinkedTo(e.record.id) || parts_.tests.IsNearFailed(failed, e.record.id)) continue;
-    if (!sightings_.empty() && !tells_enough(e)) continue;
     if (best == nullptr || e.worth > best->worth) best = &e;
   }
   return best;
@@ -202,6 +211,14 @@ void BoundedStep<Pose>::Use(int offer, bool Candidate::*as) {
   record.*as = true;
 }
 
+// A second link was registered so that what the first tells is not lost: the one that tells more ends the chain in an
+// edge, if it may, however precise it is.
+template <class Pose>
+void BoundedStep<Pose>::PutSecondToUse(std::vector<Sighting>& sightings) const {
+  if (sightings.size() != 2 || !(sightings.front().map_gain > sightings.back().map_gain)) return;
+  if (TellsEnough(OfferOf(sightings.front()).kept, sightings.front().map_gain)) std::swap(sightings[0], sightings[1]);
+}
+
 // The most precise link starts the chain anew, if it knows the pose better than the chain does and with that the map
 // loses little: best one of those that alone would lose little. Of the others one ends the old chain in an edge between
 // kept poses, and the rest make edges two by two.
@@ -215,6 +232,7 @@ void BoundedStep<Pose>::Anchor() {
                    [](const Sighting& a, const Sighting& b) { return a.log_det < b.log_det; });
   const double most_lost = sightings.size() > 1 ? parts_.gains.MinEdgeGain() : kMostLost * parts_.gains.MinLoopGain();
   const auto loses_much = [&](const Sighting& s) { return s.map_gain > most_lost; };
+  if (Registers()) PutSecondToUse(sightings);
   auto best = std::find_if_not(sightings.begin(), sightings.end(), loses_much);
   if (best == sightings.end()) best = sightings.begin();
   if (!(best->log_det < LogDeterminant(current_.T_base_current.covariance))) return;
@@ -265,7 +283,7 @@ std::optional<NewEdge<Pose>> BoundedStep<Pose>::ComposeWithChain(std::vector<Sig
   const Sighting* end = nullptr;
   for (const Sighting& s : sightings) {
     const PoseId kept = OfferOf(s).kept;
-    if (kept == current_.base || s.map_gain <= LeastEdgeGain(current_.base, kept, parts_)) continue;
+    if (!TellsEnough(kept, s.map_gain)) continue;
     if (!IsJoined(current_.base, kept, parts_) && !LowersVariance(current_, kept, OfferOf(s).T_kept_current, parts_))
       continue;
     if (end == nullptr || s.map_gain > end->map_gain) end = &s;

@@ -45,12 +45,14 @@ class BoundedStep {
   const Offer<Pose>& OfferOf(const Sighting& s) const { return current_.offers[static_cast<std::size_t>(s.offer)]; }
   bool IsOnOdometry(const Offer<Pose>& offer) const;
   double MapGain(const UncertainPose<Pose>& known, const Jacobian& Sigma_link) const;
+  bool TellsEnough(PoseId kept, double map_gain) const;
   void ThinOffers();
   void Search();
   void Sight(int offer);
   void RegisterSightings();
   Evaluated<Pose>* NextToRegister(const std::vector<Failed>& failed);
   bool TellsMap() const;
+  void PutSecondToUse(std::vector<Sighting>& sightings) const;
   void Anchor();
   void Use(int offer, bool Candidate::*as);
   std::vector<NewEdge<Pose>> ComposeEdges(std::vector<Sighting> sightings) const;

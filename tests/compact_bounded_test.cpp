@@ -349,6 +349,36 @@ TYPED_TEST(CompactBoundedTest, RegistrationFindsTheRobotAgainWithFewTrials) {
               slam.PosesSeen(), missed, anchored, late_tried);
 }
 
+// One link says where the robot is. A second is asked for so that the odometry since the last is not lost: with it the
+// chain ends in a measurement between kept poses.
+TYPED_TEST(CompactBoundedTest, WhatIsRegisteredTellsTheMapOfTheOdometryBetween) {
+  using Pose = TypeParam;
+  LapsOptions options;
+  options.laps = 8;
+  Laps<Pose> laps(1, options);
+  laps.options.thresholds.min_loop_gain *= 2;  // of the second link alone more than the map can learn
+  int asked = 0, missed = 0;
+  const auto registration = TrueLinks(laps, asked, missed);
+  CompactPoseSlam<Pose> slam(laps.options);
+  int anchored = 0, with_two = 0, ended = 0, fused = 0;
+  for (CompactInput<Pose> input : laps.replay.Inputs()) {
+    input.loops.reset();
+    input.linkable.reset();
+    const Decision decision = slam.AddPose(input, registration);
+    if (!decision.anchored_to) continue;
+    ++anchored;
+    const auto is_link = [](const Candidate& c) { return c.tried && c.measured_gain && !c.outlier; };
+    with_two += std::count_if(decision.candidates.begin(), decision.candidates.end(), is_link) == 2;
+    ended += !decision.edges.empty();
+    for (const ComposedEdge& edge : decision.edges) fused += edge.fused;
+  }
+  std::printf("%d anchored, %d with two links, %d ended a chain in an edge, %d fused\n", anchored, with_two, ended,
+              fused);
+  EXPECT_GT(with_two, anchored / 2);
+  EXPECT_GT(ended, 3 * with_two / 4);
+  EXPECT_GT(fused, ended / 2) << "which costs nothing";
+}
+
 // What is thrown before anything was linked leaves nothing behind.
 TYPED_TEST(CompactBoundedTest, ACallbackThatThrowsChangesNothing) {
   using Pose = TypeParam;

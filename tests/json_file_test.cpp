@@ -2,6 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
+#include <random>
+#include <set>
+
 #include "terse/compact/json_file.h"
 #include "terse/core/limits.h"
 #include "testing_files.h"
@@ -78,6 +82,69 @@ TEST(JsonFileTest, FilesHoldObjects) {
       EXPECT_NE(error.cause().find(cause), std::string::npos) << error.what();
     }
   }
+}
+
+// What is left of a value without what stands behind other keys.
+json Part(const json& value, const std::set<std::string>& keys) {
+  if (!value.is_structured()) return value;
+  json out = value.is_object() ? json::object() : json::array();
+  for (const auto& item : value.items()) {
+    if (value.is_array()) {
+      out.push_back(Part(item.value(), keys));
+    } else if (keys.count(item.key()) != 0) {
+      out[item.key()] = Part(item.value(), keys);
+    }
+  }
+  return out;
+}
+
+json Draw(std::mt19937& random, int depth) {
+  const int kind = std::uniform_int_distribution<int>(0, depth > 0 ? 7 : 5)(random);
+  const std::array<json, 6> leaves = {nullptr, true, -7, 18446744073709551615u, 0.125, "text \\\" {[,"};
+  if (kind < 6) return leaves[static_cast<std::size_t>(kind)];
+  json out = kind == 6 ? json::array() : json::object();
+  for (const char* key : {"a", "b", "c", "d"}) {
+    json item = Draw(random, depth - 1);
+    if (kind == 6) {
+      out.push_back(std::move(item));
+    } else {
+      out[key] = std::move(item);
+    }
+  }
+  return out;
+}
+
+TEST(JsonFileTest, AnObjectIsReadWithoutWhatNobodyAsksFor) {
+  std::mt19937 random(7);
+  const std::set<std::string> keys = {"a", "c"};
+  std::size_t left = 0, all = 0;
+  for (int k = 0; k < 200; ++k) {
+    json object;
+    for (const char* key : {"a", "b", "c"}) object[key] = Draw(random, 4);
+    const TestFile file("object.json", object.dump(k % 3));
+    EXPECT_EQ(ReadJsonObject(file.Path(), "figures", keys), Part(object, keys)) << object;
+    left += Part(object, keys).dump().size();
+    all += object.dump().size();
+  }
+  EXPECT_LT(left, all);
+  EXPECT_GT(left, all / 10);
+}
+
+TEST(JsonFileTest, WhatNobodyAsksForIsCheckedToo) {
+  for (const auto& [text, cause] :
+       {std::pair("{\"b\": [1,]}", "not valid JSON"), std::pair("{\"b\": [1", "ends too early"),
+        std::pair("{\"b\": 1e999}", "too large"), std::pair("[{\"a\": 1}]", "found array"),
+        std::pair("{\"a\": 1}}", "not valid JSON"), std::pair("", "ends too early")}) {
+    const TestFile file("object.json", text);
+    try {
+      ReadJsonObject(file.Path(), "figures", {"a"});
+      ADD_FAILURE() << text;
+    } catch (const FileError& error) {
+      EXPECT_NE(error.cause().find(cause), std::string::npos) << error.what();
+    }
+  }
+  const TestFile deep("deep.json", "{\"b\": " + Nested(kMostJsonDepth) + '}');
+  EXPECT_THROW(ReadJsonObject(deep.Path(), "figures", {"a"}), FileError);
 }
 
 TEST(JsonFileTest, WholeNumbersFit) {

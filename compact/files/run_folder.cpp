@@ -5,6 +5,7 @@
 #include <cmath>
 #include <filesystem>
 #include <limits>
+#include <set>
 #include <sstream>
 #include <unordered_map>
 
@@ -74,6 +75,14 @@ std::optional<double> RangeIn(const nlohmann::json& thresholds) {
     if (const auto length = Optional(range->at(k))) out = std::max(out.value_or(*length), *length);
   }
   return out;
+}
+
+// Of graph.json: what Reader asks for, a small part of it.
+const std::set<std::string>& KeysOfGraph() {
+  static const std::set<std::string> keys = {"dimension", "poses", "id",          "kept",        "edges",
+                                             "from",      "to",    "kind",        "factor",      "added_at",
+                                             "gain_nats", "parts", "composed_of", "measurements"};
+  return keys;
 }
 
 class Reader {
@@ -322,7 +331,7 @@ RunFolder ReadRunFolder(const std::string& path) {
   run.path = path;
   run.name = std::filesystem::canonical(path).filename().string();
   const std::string graph_path = path + "/graph.json";
-  const auto graph = ReadJsonObject<nlohmann::json>(Present(graph_path), "a compact map");
+  const auto graph = ReadJsonObject(Present(graph_path), "a compact map", KeysOfGraph());
   const auto thresholds =
       ReadJsonObject<nlohmann::json>(Present(path + "/thresholds.json"), "thresholds", &run.thresholds_json);
   const auto stats = ReadJsonObject<nlohmann::ordered_json>(Present(path + "/stats.json"), "figures", &run.stats_json);

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <string_view>
 #include <unordered_map>
 
 #include "pictures/compared_runs.h"
@@ -12,6 +13,7 @@
 #include "terse/compact/decision.h"
 #include "terse/compact/explored_area.h"
 #include "terse/compact/json_file.h"
+#include "terse/core/atomic_file.h"
 #include "terse/core/words.h"
 
 namespace terse {
@@ -183,6 +185,39 @@ Json ToJson(const RunFolder& run) {
   return out;
 }
 
+// As deep as the lists of a run's poses and decisions lie.
+constexpr int kPieceDepth = 5;
+
+void WriteWithoutTags(const Json& json, std::ostream& out) {
+  const std::string text = json.dump(-1, ' ', false, Json::error_handler_t::replace);
+  for (std::size_t start = 0; start < text.size();) {
+    const std::size_t end = std::min(text.find('<', start), text.size());
+    out << std::string_view(text).substr(start, end - start);
+    if (end < text.size()) out << "\\u003c";  // no "</script>" in it
+    start = end + 1;
+  }
+}
+
+// As dump() has it, which would need memory for the text of a whole run.
+void WriteInPieces(const Json& json, int depth, std::ostream& out) {
+  if (depth == 0 || !json.is_structured()) {
+    WriteWithoutTags(json, out);
+    return;
+  }
+  out << (json.is_object() ? '{' : '[');
+  const char* before = "";
+  for (const auto& item : json.items()) {
+    out << before;
+    before = ",";
+    if (json.is_object()) {
+      WriteWithoutTags(item.key(), out);
+      out << ':';
+    }
+    WriteInPieces(item.value(), depth - 1, out);
+  }
+  out << (json.is_object() ? '}' : ']');
+}
+
 }  // namespace
 
 Json ReportToJson(const std::vector<RunFolder>& runs) {
@@ -196,20 +231,15 @@ Json ReportToJson(const std::vector<RunFolder>& runs) {
 
 void WriteReport(const std::vector<RunFolder>& runs, const std::string& path) {
   static const std::string kPlace = "\"@TERSE_REPORT_DATA@\"";
-  std::string page = ReportPage();
-  const std::string data = ReportToJson(runs).dump(-1, ' ', false, Json::error_handler_t::replace);
-  std::string safe;  // no "</script>" in it
-  safe.reserve(data.size());
-  for (const char c : data) {
-    if (c == '<') {
-      safe += "\\u003c";
-    } else {
-      safe += c;
-    }
-  }
+  const Json data = ReportToJson(runs);
+  const std::string page = ReportPage();
   const std::size_t at = page.find(kPlace);
   if (at == std::string::npos) throw std::logic_error("the report's page has no place for its data");
-  WriteText(page.replace(at, kPlace.size(), safe), path);
+  AtomicFile file(path);
+  file.Stream() << std::string_view(page).substr(0, at);
+  WriteInPieces(data, kPieceDepth, file.Stream());
+  file.Stream() << std::string_view(page).substr(at + kPlace.size());
+  file.Commit();
 }
 
 void WriteReport(const std::vector<std::string>& folders, const std::string& path) {

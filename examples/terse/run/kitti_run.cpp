@@ -87,6 +87,8 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
   KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}, {}, {}};
   const TruePoses truth = TrueLeftPoses(sequence, frames, options.truth);
   StepRecorder<SE3> recorder(static_cast<int>(frames.size()), truth.empty() ? nullptr : &truth);
+  run.frames.reserve(frames.size());
+  run.decisions.reserve(frames.size());
   KittiTotals& totals = run.totals;
   totals.vocabulary = 1000 * vocabulary;
   {

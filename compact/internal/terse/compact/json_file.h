@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <string>
 #include <string_view>
 
@@ -20,6 +21,9 @@ Json ParseJson(std::string_view text, const std::string& path, long line = 1);
 // file, if it is given. Throws FileError.
 template <class Json>
 Json ReadJsonObject(const std::string& path, const std::string& what, std::string* text = nullptr);
+
+// The same without what stands behind any other key, at whatever depth: that is read and checked, but takes no memory.
+nlohmann::json ReadJsonObject(const std::string& path, const std::string& what, const std::set<std::string>& keys);
 
 // The whole number that a value is. Throws FileError if it is none or beyond 64 bits; nlohmann's get() converts what
 // does not fit, which has no defined result.
