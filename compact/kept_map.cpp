@@ -36,6 +36,7 @@ StepReport KeptMap<Pose>::Restore(const GraphUpdate<Pose>& update, const std::ve
   StepReport report = fresh.Update(update);
   // Not from the solver's estimates: with its gate closed it has placed all poses one after the other, as new ones.
   RequireOptimum(fresh.FinishFrom(T_world_body));
+  fresh.CountOnFrom(solver_);
   solver_ = std::move(fresh);
   marginals_.emplace(solver_);
   UpdateCovariances();

@@ -73,6 +73,14 @@ TYPED_TEST(IncrementalSolverTest, FinishReachesTheBatchOptimum) {
   }
 }
 
+// These ids and so many more for its factors.
+template <class Pose>
+GraphUpdate<Pose> WithIds(GraphUpdate<Pose> update, const std::vector<std::int64_t>& ids, int more) {
+  for (const std::int64_t id : ids) update.factor_ids.push_back({id});
+  for (int k = 0; k < more; ++k) update.factor_ids.push_back({5000 + k});
+  return update;
+}
+
 TYPED_TEST(IncrementalSolverTest, FailedUpdateLeavesEverythingAsItWas) {
   Random rng(31);
   const auto random = testing::MakeRandomGraph<TypeParam>(rng, {12, 0.5, 0.02});
@@ -102,6 +110,9 @@ TYPED_TEST(IncrementalSolverTest, FailedUpdateLeavesEverythingAsItWas) {
       {{{fresh, NotFinite<TypeParam>()}}, {edge(known, fresh)}, {}},
       {{{fresh}}, {infinite}, {}},
       {{}, {}, {FactorId{12345}}},
+      WithIds<TypeParam>({{{fresh}}, {edge(known, fresh)}, {}}, {}, 2),   // more ids than factors
+      WithIds<TypeParam>({{{fresh}}, {edge(known, fresh)}, {}}, {0}, 0),  // taken
+      WithIds<TypeParam>({{{fresh}}, {edge(known, fresh), edge(fresh, known)}, {}}, {1001, 1000}, 0),
       {{}, {}, {FactorId{0}}},  // the only link of the first pose: the rest would float
   };
   for (std::size_t k = 0; k < bad.size(); ++k) {
@@ -123,6 +134,38 @@ TYPED_TEST(IncrementalSolverTest, FailedUpdateLeavesEverythingAsItWas) {
   }
   solver.Update({{{fresh}}, {edge(known, fresh)}, {}});
   ExpectEqualsDense(solver);
+}
+
+// A solver put together again has the factors by the ids they had, and what was counted before.
+TYPED_TEST(IncrementalSolverTest, TakesTheIdsThatItIsGiven) {
+  Random rng(33);
+  const auto random = testing::MakeRandomGraph<TypeParam>(rng, {12, 0.5, 0.02});
+  IncrementalSolver<TypeParam> solver(Exact());
+  GraphUpdate<TypeParam> all;
+  std::int64_t id = 3;
+  for (const auto& node : random.graph.Poses()) all.poses.push_back({node.id, node.T_world_body});
+  FactorId loop{-1};
+  for (const auto& node : random.graph.Factors()) {
+    all.factors.push_back(node.factor);
+    all.factor_ids.push_back({id});
+    const auto ends = PosesOf(node.factor);
+    if (random.graph.IndexOf(ends.second) - random.graph.IndexOf(ends.first) > 1) loop = {id};
+    id += 2;
+  }
+  EXPECT_EQ(solver.Update(all).factor_ids, all.factor_ids);
+  EXPECT_EQ(solver.Graph().NextFactorId().value, id - 1);
+  ExpectEqualsDense(solver);
+  solver.Finish();
+  solver.Update({{}, {}, {loop}});
+  EXPECT_THROW(solver.Update({{}, {}, {loop}}), std::invalid_argument);
+  ExpectEqualsDense(solver);
+
+  IncrementalSolver<TypeParam> again(Exact());
+  again.Update(all);
+  const double own = again.Seconds().factor;
+  again.CountOnFrom(solver);
+  EXPECT_EQ(again.Seconds().factor, own + solver.Seconds().factor);
+  EXPECT_EQ(again.Restarts(), solver.Restarts());
 }
 
 TYPED_TEST(IncrementalSolverTest, PriorsReplaceTheAnchorAndItComesBack) {

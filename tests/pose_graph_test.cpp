@@ -165,6 +165,23 @@ TYPED_TEST(PoseGraphTest, DefectsAreRefusedAndLeaveTheGraphAsItWas) {
   EXPECT_EQ(graph.AddFactor(Edge<Pose>(1, 0)).value, first.value + 1) << "a refused factor took an id";
 }
 
+TYPED_TEST(PoseGraphTest, FactorsTakeTheIdsThatTheyAreGiven) {
+  using Pose = TypeParam;
+  PoseGraph<Pose> graph;
+  graph.AddPose({0}, Pose());
+  graph.AddPose({1}, Pose());
+  EXPECT_EQ(graph.AddFactor(Edge<Pose>(0, 1), {7}).value, 7);
+  EXPECT_EQ(graph.AddFactor(Edge<Pose>(1, 0)).value, 8);
+  for (const std::int64_t taken :
+       {std::int64_t{-1}, std::int64_t{0}, std::int64_t{8}, std::numeric_limits<std::int64_t>::max()}) {
+    EXPECT_THROW(graph.AddFactor(Edge<Pose>(0, 1), {taken}), std::invalid_argument) << taken;
+  }
+  EXPECT_EQ(graph.NextFactorId().value, 9);
+  EXPECT_EQ(graph.Factors().size(), 2u);
+  EXPECT_TRUE(graph.RemoveFactor({7}));
+  EXPECT_THROW(graph.AddFactor(Edge<Pose>(0, 1), {7}), std::invalid_argument) << "ids are not used again";
+}
+
 TYPED_TEST(PoseGraphTest, ValuesThatAreNotFiniteAreRefused) {
   using Pose = TypeParam;
   PoseGraph<Pose> graph;

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <locale>
 #include <sstream>
 #include <stdexcept>
@@ -96,6 +97,8 @@ FactorId PoseGraph<Pose>::AddFactor(const Factor<Pose>& factor) {
 template <class Pose>
 FactorId PoseGraph<Pose>::AddFactor(const Factor<Pose>& factor, FactorId id) {
   if (id < NextFactorId()) throw std::invalid_argument("the id " + std::to_string(id.value) + " of a factor is taken");
+  if (id.value == std::numeric_limits<std::int64_t>::max())
+    throw std::invalid_argument("no id follows that of a factor");
   const FactorPoses ends = PosesOf(factor);
   IndexOf(ends.first);
   if (ends.count == 2) IndexOf(ends.second);

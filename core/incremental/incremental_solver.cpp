@@ -299,6 +299,16 @@ int IncrementalSolver<Pose>::Restarts() const {
   return static_cast<int>(parts_->watch.Restarts());
 }
 template <class Pose>
+void IncrementalSolver<Pose>::CountOnFrom(const IncrementalSolver& earlier) {
+  parts_->watch.CountRestarts(earlier.parts_->watch.Restarts());
+  PhaseSeconds& seconds = parts_->map.Seconds();
+  const PhaseSeconds& before = earlier.Seconds();
+  seconds.order += before.order;
+  seconds.linearise += before.linearise;
+  seconds.factor += before.factor;
+  seconds.solve += before.solve;
+}
+template <class Pose>
 const PoseGraph<Pose>& IncrementalSolver<Pose>::Graph() const {
   return parts_->map.Graph();
 }

@@ -31,6 +31,7 @@ class MinimumWatch {
                                                 BatchOptions options) const;
   void NoteRestart(const Map& map);
   long Restarts() const { return restarts_; }
+  void CountRestarts(long more) { restarts_ += more; }
   double Explained() const { return explained_; }
 
   template <class Archive>

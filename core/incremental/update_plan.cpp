@@ -3,6 +3,7 @@
 #include "incremental/update_plan.h"
 
 #include <algorithm>
+#include <limits>
 #include <set>
 #include <stdexcept>
 
@@ -37,6 +38,8 @@ void Validate(const GraphUpdate<Pose>& update, const PoseGraph<Pose>& graph) {
     FactorId least = graph.NextFactorId();
     for (const FactorId id : update.factor_ids) {
       if (id < least) throw std::invalid_argument("the id " + std::to_string(id.value) + " of a factor is taken");
+      if (id.value == std::numeric_limits<std::int64_t>::max())
+        throw std::invalid_argument("no id follows that of a factor");
       least = {id.value + 1};
     }
   }

@@ -62,6 +62,8 @@ class IncrementalSolver {
   const IncrementalOptions& Options() const { return options_; }
   // How often the map left a wrong minimum for a lower one (IncrementalOptions::restart), Finish included.
   int Restarts() const;
+  // Adds the restarts and seconds of a solver that this one takes the place of.
+  void CountOnFrom(const IncrementalSolver& earlier);
 
   // Poses and living factors; the pose values in it are the initial ones.
   const PoseGraph<Pose>& Graph() const;
