@@ -81,7 +81,8 @@ TEST(CompactBoundedGrowthTest, TenLapsOfTheEllipseKeepWhatThreeDo) {
   const Size three = SizeOf(EllipseLaps(3), Strategy::kBounded);
   const Size ten = SizeOf(EllipseLaps(kSlowBuild ? 5 : 10), Strategy::kBounded);
   ExpectBounded(three, ten);
-  if (!kSlowBuild) EXPECT_LT(ten.ate_m, before.ate_m) << "after five laps it is not yet";
+  if (kSlowBuild) return;  // the error of five laps is not yet that of ten
+  EXPECT_LT(ten.ate_m, before.ate_m);
 }
 
 template <class Pose>
