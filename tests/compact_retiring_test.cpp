@@ -104,7 +104,7 @@ TYPED_TEST(CompactRetiringTest, ASmallerMapIsAsGood) {
   using Pose = TypeParam;
   std::size_t kept = 0, kept_without = 0;
   double error = 0, error_without = 0;
-  for (const std::uint64_t seed : testing::Seeds(11, 13)) {
+  for (const std::uint64_t seed : testing::Seeds(11, 16)) {
     Laps<Pose> laps(seed, LongLaps());
     const auto run = [&](double share, std::size_t& poses, double& squared) {
       laps.options.retire_share = share;
@@ -122,6 +122,7 @@ TYPED_TEST(CompactRetiringTest, ASmallerMapIsAsGood) {
   std::printf("%zu poses instead of %zu, mean square error %.3f of theirs\n", kept, kept_without,
               error / error_without);
   EXPECT_LT(kept, 0.75 * static_cast<double>(kept_without));
+  if (kSlowBuild) return;  // too few seeds to say what it costs
   EXPECT_LT(error, 1.5 * error_without);
 }
 
