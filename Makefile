@@ -92,7 +92,7 @@ readme-picture: all ## draw the README's picture from a generated city, all pose
 	@cd build/pictures && ../bin/terse generate manhattan --poses 10000 --output city.g2o --ground-truth city.tum --quiet && \
 	  draw() { \
 	    ../bin/terse compact city.g2o --strategy $$1 --ground-truth city.tum --output "$$2" && sed -i 1q "$$2/covariances.csv"; \
-	  } && draw apal "All poses and links" && draw fpfl "Only what carries information" && \
+	  } && draw apal "All poses and links" && draw bounded "Only what carries information" && \
 	  ../bin/terse plot "All poses and links" "Only what carries information" --what trajectory --output . --quiet
 	@rsvg-convert --width 1000 build/pictures/comparison_trajectory.svg --output docs/images/city.png
 
