@@ -40,6 +40,10 @@ std::vector<Pose> ValuesOf(const PoseGraph<Pose>& graph) {
   return values;
 }
 
+// Of those that retired in favour of a pose the farthest from it stand for all: they are the first not to be known
+// well.
+constexpr std::size_t kMostGround = 8;
+
 template <class Pose>
 class Retirement {
  public:
@@ -130,6 +134,7 @@ class Retirement {
   bool FindOdometry(Plan& plan) const;
   bool KnowsWell(PoseId kept, PoseId pose) const;
   std::optional<PoseId> FindHeir(const Plan& plan) const;
+  void LeaveGround(PoseId pose, PoseId heir);
   UncertainPose<Pose> OdometryTo(PoseId kept, FactorId factor) const;
   UncertainPose<Pose> Between(PoseId a, PoseId b) const;
   void Retire(const Plan& plan);
@@ -145,7 +150,7 @@ class Retirement {
   internal::RetiredChains<Pose> chains_;
   std::map<FactorId, Edge> edges_;
   std::map<PoseId, std::set<FactorId>> factors_at_;
-  std::map<PoseId, std::vector<PoseId>> ground_of_;  // those that retired because this one knows them well
+  std::map<PoseId, std::vector<PoseId>> ground_of_;  // the farthest of those that retired in favour of this one
   std::set<PoseId> stays_;
   std::map<PoseId, Plan> plans_;
   std::set<std::pair<double, PoseId>> order_;
@@ -201,6 +206,22 @@ std::optional<PoseId> Retirement<Pose>::FindHeir(const Plan& plan) const {
   };
   const auto heir = std::find_if(plan.neighbours.begin(), plan.neighbours.end(), knows_all);
   return heir != plan.neighbours.end() ? std::optional<PoseId>(*heir) : std::nullopt;
+}
+
+template <class Pose>
+void Retirement<Pose>::LeaveGround(PoseId pose, PoseId heir) {
+  std::vector<PoseId>& ground = ground_of_[heir];
+  ground.push_back(pose);
+  const auto own = ground_of_.find(pose);
+  if (own != ground_of_.end()) {
+    ground.insert(ground.end(), own->second.begin(), own->second.end());
+    ground_of_.erase(own);
+  }
+  if (ground.size() <= kMostGround) return;
+  const auto distance = [&](PoseId id) { return (Estimate(id).Translation() - Estimate(heir).Translation()).norm(); };
+  std::sort(ground.begin(), ground.end(),
+            [&](PoseId a, PoseId b) { return std::pair(-distance(a), a) < std::pair(-distance(b), b); });
+  ground.resize(kMostGround);
 }
 
 // Asked of every neighbour of a pose that retires, so not at the price of a hub's degree.
@@ -287,13 +308,7 @@ void Retirement<Pose>::Retire(const Plan& plan) {
     ++retired.factors_removed;
   }
   factors_at_.erase(plan.pose);
-  std::vector<PoseId>& ground = ground_of_[plan.heir];
-  const auto own = ground_of_.find(plan.pose);
-  if (own != ground_of_.end()) {
-    ground.insert(ground.end(), own->second.begin(), own->second.end());
-    ground_of_.erase(own);
-  }
-  ground.push_back(plan.pose);
+  LeaveGround(plan.pose, plan.heir);
   for (const auto& factor : plan.tree.factors) {
     Edge edge = MakeEdge(plan, factor, measurements);
     FuseWithOther(edge, plan.pose);

@@ -8,6 +8,7 @@
 #include "terse/compact/compact_graph.h"
 #include "terse/compact/map_file.h"
 #include "terse/compact/measurement_stream.h"
+#include "terse/core/batch_solver.h"
 #include "terse/core/evaluate.h"
 #include "testing_bounded.h"
 #include "testing_files.h"
@@ -378,6 +379,32 @@ TYPED_TEST(CompactBoundedTest, WhatIsRegisteredTellsTheMapOfTheOdometryBetween) 
   EXPECT_GT(with_two, anchored / 2);
   EXPECT_GT(ended, 3 * with_two / 4);
   EXPECT_GT(fused, ended / 2) << "which costs nothing";
+}
+
+// Where there is a loop at every pose, each chain that starts anew on one would lose a little, and all of them together
+// the map: 0.53 m here.
+TEST(CompactBoundedLossTest, ALoopAtEveryPoseDoesNotTakeTheMapApart) {
+  GenerateOptions generate;
+  generate.scene = Scene::kSphere;
+  generate.poses = 1000;
+  generate.seed = 4;
+  PoseGraph<SE3> graph;
+  GenerateSink<SE3> sink;
+  sink.pose = [&](PoseId id, const SE3& T) { graph.AddPose(id, T); };
+  sink.edge = [&](const RelativePoseFactor<SE3>& edge) { graph.AddFactor(edge); };
+  Generate(generate, sink);
+  const GraphReplay<SE3> replay(graph);
+  auto options = testing::OptionsFor(replay, Strategy::kBounded);
+  options.thresholds.range << 5, 5, 5, 1;
+  options.thresholds.min_loop_gain = 4;
+  options.thresholds.min_pose_gain = 5.4;
+  CompactPoseSlam<SE3> slam(options);
+  for (const auto& input : replay.Inputs()) slam.AddPose(input);
+  slam.Finish();
+  const Size size = SizeOf(slam, SolveBatch(graph).T_world_body);
+  std::printf("%d poses, %d links, %.3f m\n", size.poses, size.links, size.ate_m);
+  EXPECT_LT(size.poses, 700);
+  EXPECT_LT(size.ate_m, 0.35);
 }
 
 // What is thrown before anything was linked leaves nothing behind.

@@ -115,7 +115,7 @@ TYPED_TEST(RetirePosesTest, LosesNothingBetweenTwoNeighbours) {
     ASSERT_EQ(FindDefect(out.map), "");
     const Compared<Pose> compared(map, out.map);
     EXPECT_LT(testing::RelativeError(compared.now, compared.exact), 1e-8);
-    EXPECT_LT(compared.step, 1e-8);
+    EXPECT_LT(compared.step, 1e-7);
     auto restored = CompactPoseSlam<Pose>::Restore(out.map, options);
     restored.Finish();
     for (const auto& node : restored.Solver().Graph().Poses()) {
@@ -289,14 +289,17 @@ TYPED_TEST(RetirePosesTest, LeavesPosesThatMayNot) {
 TYPED_TEST(RetirePosesTest, LeavesNoGroundUncovered) {
   using Pose = TypeParam;
   constexpr int B = Pose::kDof;
-  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
+  for (const std::uint64_t seed : testing::Seeds(1, 4)) {
     SCOPED_TRACE(seed);
     Random rng(seed);
+    // Of the second, tens of poses retire in favour of each.
+    const int poses = seed == 2 ? 400 : 60;
+    const double spacing = 60.0 / poses;
     PoseGraph<Pose> graph;
     Pose T;
-    for (int k = 0; k < 60; ++k) {
+    for (int k = 0; k < poses; ++k) {
       typename Pose::Tangent step = Pose::Tangent::Zero();
-      step[0] = testing::Uniform(rng, 0.4, 1.6);
+      step[0] = spacing * testing::Uniform(rng, 0.4, 1.6);
       const Pose T_step = Pose().Retract(step);
       T = T * T_step;
       graph.AddPose(PoseId{k}, T);
@@ -319,9 +322,9 @@ TYPED_TEST(RetirePosesTest, LeavesNoGroundUncovered) {
       EXPECT_LT(nearest, 5.1) << pose.id.value;
     }
     // It ends where it is told to.
-    const auto fewer = RetirePoses(map, options, {kAnyLoss, 4, false, {0}, {-2}, 50});
+    const auto fewer = RetirePoses(map, options, {kAnyLoss, 4, false, {0}, {-2}, poses - 10});
     EXPECT_EQ(fewer.poses.size(), 10u);
-    EXPECT_TRUE(RetirePoses(map, options, {kAnyLoss, 4, false, {0}, {-2}, 60}).poses.empty());
+    EXPECT_TRUE(RetirePoses(map, options, {kAnyLoss, 4, false, {0}, {-2}, poses}).poses.empty());
   }
 }
 

@@ -4,7 +4,8 @@
 //
 // A kept pose may retire where the area was mapped more densely than needed: a neighbour within the sensor range knows
 // it so well that a link would add no more than min_pose_gain, the test by which FPFL drops a pose on arrival. That
-// neighbour has to know as well all those that retired in favour of the pose: whatever ground was covered stays so.
+// neighbour has to know as well those that retired in favour of the pose (the eight farthest of them): whatever ground
+// was covered stays so.
 //
 // All that the factors at a pose p say of its neighbours is the joint distribution of their displacements. It is
 // replaced by one relative pose per edge of a spanning tree over the neighbours, the tree that loses least (Chow and

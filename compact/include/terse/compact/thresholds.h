@@ -23,8 +23,8 @@ struct SampleOptions {
   double share = 0.6;  // of the run's poses are looked at, spread over the run (the first 5000 poses of a longer one)
   long most_poses = 200;  // but no more than so many
   DistanceOptions distance;
-  // That the thresholds are for: a bounded map asks for links that tell the least that min_loop_gain may be. There an
-  // edge is no pose, and what fuses costs nothing.
+  // That the thresholds are for: a bounded map asks links for less than the least that min_loop_gain is of others.
+  // There an edge is no pose, what fuses costs nothing, and what is too much retires.
   Strategy strategy = Strategy::kBounded;
   // Loops whose innovation exceeds this quantile (CompactOptions::innovation_quantile) are left out of the sample: for
   // graphs with wrong loops, whose covariances are right. Absent: all loops are taken for true.
