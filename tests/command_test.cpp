@@ -289,6 +289,22 @@ TEST_F(Command, GenerateAddsWrongLoops) {
   EXPECT_NE(Succeed("generate --from clean.g2o --seed 6 --outliers 30").out, Read("b.g2o"));
 }
 
+TEST_F(Command, GenerateAddsWrongLoopsOfAKind) {
+  Succeed("generate manhattan --poses 600 --seed 5 --outliers 30 --outlier-kind local --outliers-list local.csv");
+  const auto list = Lines(Read("local.csv"));
+  ASSERT_GT(list.size(), 20u);
+  for (std::size_t k = 1; k < list.size(); ++k) {
+    const std::size_t comma = list[k].find(',');
+    const long apart = std::labs(std::stol(list[k]) - std::stol(list[k].substr(comma + 1)));
+    EXPECT_TRUE(apart >= 20 && apart <= 50) << list[k];
+  }
+  const std::string plain = Succeed("generate manhattan --poses 600 --seed 5 --outliers 30").out;
+  EXPECT_EQ(Succeed("generate manhattan --poses 600 --seed 5 --outliers 30 --outlier-kind random").out, plain);
+  EXPECT_NE(Succeed("generate manhattan --poses 600 --seed 5 --outliers 30 --outlier-kind grouped").out, plain);
+  ExpectFailure("generate sphere --outlier-kind aliased", 2, "--outliers");
+  ExpectFailure("generate sphere --outliers 10 --outlier-kind evil", 2, "evil");
+}
+
 TEST_F(Command, WrongLoopsThatCannotBeMade) {
   Write("square.g2o", kSquare);
   ExpectFailure("generate", 2, "SCENE or --from FILE is required");

@@ -25,13 +25,15 @@ struct Data {
 };
 
 template <class Pose>
-Data<Pose> Collect(Scene scene, double percent, std::uint64_t seed = 1, long poses = 0) {
+Data<Pose> Collect(Scene scene, double percent, std::uint64_t seed = 1, long poses = 0,
+                   OutlierKind kind = OutlierKind::kRandom) {
   GenerateOptions options;
   options.scene = scene;
   options.seed = seed;
   options.poses = poses;
   options.laps = 2;
   options.wrong_loop_percent = percent;
+  options.wrong_loop_kind = kind;
   Data<Pose> data;
   GenerateSink<Pose> sink;
   sink.pose = [&](PoseId, const Pose& T) { data.truth.push_back(T); };
@@ -80,10 +82,10 @@ double TrueChi2(const RelativePoseFactor<Pose>& edge, const std::vector<Pose>& t
                           truth[static_cast<std::size_t>(edge.to.value)]);
 }
 
+// So many of another pair of poses each, none true, with the direction and information of true ones; all else as it
+// was.
 template <class Pose>
-void ExpectSoundWrongLoops(Scene scene, double percent) {
-  SCOPED_TRACE(static_cast<int>(scene));
-  const Data<Pose> plain = Collect<Pose>(scene, 0), data = Collect<Pose>(scene, percent);
+void ExpectWrongLoopsBesideTrueOnes(const Data<Pose>& data, const Data<Pose>& plain, double percent, double reach = 1) {
   EXPECT_TRUE(plain.wrong.empty());
   ExpectEqual(plain.clean, data.clean);
 
@@ -96,15 +98,24 @@ void ExpectSoundWrongLoops(Scene scene, double percent) {
     longest = std::max(longest, edge.T_from_to.Translation().norm());
   }
   ASSERT_EQ(data.wrong.size(), static_cast<std::size_t>(std::lround(loops * percent / 100)));
-  double position = 0;
   for (const auto& edge : data.wrong) {
     EXPECT_TRUE(linked.insert(PairOf(edge)).second) << "a pair that has a link";
     EXPECT_EQ(FindDefect<Pose>(edge), "");
     EXPECT_GE(TrueChi2(edge, data.truth), kWrongChi2PerDof * Pose::kDof);
-    // As a true loop, with six deviations of noise on each of the axes at most.
-    EXPECT_LT(edge.T_from_to.Translation().norm(), longest + 6 * std::sqrt(3 / edge.information(0, 0)));
     const auto same = [&](const auto& e) { return e.information == edge.information && !IsOdometry(e); };
     EXPECT_TRUE(std::any_of(data.clean.begin(), data.clean.end(), same));
+    // As a true loop, with six deviations of noise on each of the axes at most.
+    EXPECT_LT(edge.T_from_to.Translation().norm(), reach * longest + 6 * std::sqrt(3 / edge.information(0, 0)));
+  }
+}
+
+template <class Pose>
+void ExpectSoundWrongLoops(Scene scene, double percent) {
+  SCOPED_TRACE(static_cast<int>(scene));
+  const Data<Pose> plain = Collect<Pose>(scene, 0), data = Collect<Pose>(scene, percent);
+  ExpectWrongLoopsBesideTrueOnes(data, plain, percent);
+  double position = 0;
+  for (const auto& edge : data.wrong) {
     position += static_cast<double>(PairOf(edge).second) / static_cast<double>(data.truth.size());
   }
   // The larger of two even numbers in [0, 1]: 2/3 on average, with a deviation of 0.236; five of these.
@@ -118,6 +129,57 @@ TEST(WrongLoops, AreSoInEveryScene) {
   for (const Scene scene : {Scene::kEllipse, Scene::kEllipseN, Scene::kSphere, Scene::kTorus, Scene::kGarage}) {
     ExpectSoundWrongLoops<SE3>(scene, 30);
   }
+}
+
+// How far apart in the world two wrong loops say that the same pose is: 0 if the same mistake is behind both.
+template <class Pose>
+double Disagreement(const RelativePoseFactor<Pose>& a, const RelativePoseFactor<Pose>& b,
+                    const std::vector<Pose>& truth) {
+  const auto shift = [&](const RelativePoseFactor<Pose>& e) {  // where it says that the later pose is, for where it is
+    const auto at = [&](PoseId id) { return truth[static_cast<std::size_t>(id.value)]; };
+    return e.from < e.to ? at(e.from) * e.T_from_to * at(e.to).Inverse()
+                         : at(e.to) * e.T_from_to.Inverse() * at(e.from).Inverse();
+  };
+  const Pose T_seen = truth[static_cast<std::size_t>(PairOf(a).second)];
+  return ((shift(a) * T_seen).Inverse() * (shift(b) * T_seen)).Translation().norm();
+}
+
+template <class Pose>
+void ExpectSoundKinds(Scene scene, double noise_m) {
+  SCOPED_TRACE(static_cast<int>(scene));
+  const Data<Pose> plain = Collect<Pose>(scene, 0, 3);
+  for (const OutlierKind kind : {OutlierKind::kLocal, OutlierKind::kGrouped, OutlierKind::kAliased}) {
+    SCOPED_TRACE(static_cast<int>(kind));
+    const Data<Pose> data = Collect<Pose>(scene, 40, 3, 0, kind), again = Collect<Pose>(scene, 40, 3, 0, kind);
+    ExpectEqual(data.wrong, again.wrong);
+    // One of a group leads on from where the last one led: up to twice as far as a true one.
+    ExpectWrongLoopsBesideTrueOnes(data, plain, 40, kind == OutlierKind::kGrouped ? 2 : 1);
+    std::size_t agree = 0;
+    for (std::size_t k = 0; k < data.wrong.size(); ++k) {
+      const Pair pair = PairOf(data.wrong[k]);
+      if (kind == OutlierKind::kLocal) {
+        EXPECT_GE(pair.second - pair.first, 20);
+        EXPECT_LE(pair.second - pair.first, 50);
+      }
+      // Of those shortly before, any that agrees.
+      bool found = false;
+      for (std::size_t j = k - std::min<std::size_t>(k, 30); j < k; ++j) {
+        found = found || Disagreement(data.wrong[j], data.wrong[k], data.truth) < noise_m;
+      }
+      agree += found;
+    }
+    const double share = static_cast<double>(agree) / static_cast<double>(data.wrong.size());
+    if (kind == OutlierKind::kLocal) {
+      EXPECT_LT(share, 0.2);
+    } else {
+      EXPECT_GT(share, 0.6);  // all but the first of each 3 to 10 or 20, as far as noise lets it be seen
+    }
+  }
+}
+
+TEST(WrongLoops, OfOtherKinds) {
+  ExpectSoundKinds<SE2>(Scene::kManhattan, 0.6);
+  ExpectSoundKinds<SE3>(Scene::kGarage, 0.6);
 }
 
 TEST(WrongLoops, SameSeedSameLoops) {

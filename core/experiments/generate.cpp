@@ -200,7 +200,7 @@ void Generate(const GenerateOptions& options, const GenerateSink<Pose>& sink) {
   if (options.wrong_loop_percent != 0) {
     GenerateTrue<Pose>(options, [&](PoseId id, const Pose&, const Edges& edges) { survey.Arrive(id, edges); });
   }
-  WrongLoops<Pose> wrong_loops(survey, options.wrong_loop_percent, options.seed);
+  WrongLoops<Pose> wrong_loops(survey, options.wrong_loop_percent, options.seed, options.wrong_loop_kind);
   GenerateTrue<Pose>(options, [&](PoseId id, const Pose& T_world_body, const Edges& edges) {
     if (sink.pose) sink.pose(id, T_world_body);
     for (const auto& edge : edges) {

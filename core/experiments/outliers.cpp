@@ -1,32 +1,25 @@
 #include "terse/core/outliers.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
 #include <string>
 
-#include "experiments/generate_scene.h"
+#include "experiments/wrong_loop_draw.h"
 #include "terse/core/arrival.h"
-#include "terse/core/residual.h"
 
 namespace terse {
 namespace {
 
+using internal::Below;
 using internal::Random;
 
 constexpr std::size_t kSampleSize = 1000;
-constexpr int kDraws = 1000;  // for a place beside one pose
 
 // Streams of their own: the scene's starts from the seed itself.
 constexpr std::uint64_t kSurveyStream = 0x9E3779B97F4A7C15u, kDrawStream = 0xD1B54A32D192ED03u;
 std::uint64_t StreamSeed(std::uint64_t seed, std::uint64_t stream) { return (seed + 1) * stream ^ (stream >> 7); }
-
-// Below n, evenly.
-std::size_t Below(Random& random, std::size_t n) {
-  return std::min(n - 1, static_cast<std::size_t>(random.Uniform() * static_cast<double>(n)));
-}
 
 template <class Pose>
 PoseId OtherEnd(const RelativePoseFactor<Pose>& edge, PoseId id) {
@@ -44,17 +37,6 @@ std::vector<PoseId> LinkedTo(PoseId id, const std::vector<RelativePoseFactor<Pos
   std::sort(linked.begin(), linked.end());
   linked.erase(std::unique(linked.begin(), linked.end()), linked.end());
   return linked;
-}
-
-// The measurement with an error of the covariance Omega^-1.
-template <class Pose>
-Pose WithNoise(const RelativePoseFactor<Pose>& loop, Random& random) {
-  constexpr int N = Pose::kDof;
-  Eigen::Matrix<double, N, 1> noise;
-  for (int d = 0; d < N; ++d) noise[d] = random.Normal();
-  const Eigen::Matrix<double, N, N> information = loop.information;
-  information.llt().matrixU().solveInPlace(noise);
-  return internal::Rounded(loop.T_from_to.Retract(noise));
 }
 
 }  // namespace
@@ -114,40 +96,17 @@ const std::vector<RelativePoseFactor<Pose>>& LoopSurvey<Pose>::Sample() const {
 
 template <class Pose>
 struct WrongLoops<Pose>::State {
-  Random random;
-  std::vector<RelativePoseFactor<Pose>> sample;
-  std::vector<std::size_t> later;  // the place in the order of arrival of each wrong loop's later pose, ascending
+  internal::WrongLoopDraw<Pose> draw;
+  std::vector<typename internal::WrongLoopDraw<Pose>::Due> due;
   std::size_t placed = 0;
-  std::vector<std::pair<PoseId, Pose>> poses;
   PoseId highest{std::numeric_limits<std::int64_t>::min()};
-
-  bool Draw(PoseId id, const Pose& T_world_id, const std::vector<PoseId>& linked, RelativePoseFactor<Pose>& wrong);
 };
 
-// A wrong loop from `id`, the next pose, to an earlier one; false if no draw gave one.
 template <class Pose>
-bool WrongLoops<Pose>::State::Draw(PoseId id, const Pose& T_world_id, const std::vector<PoseId>& linked,
-                                   RelativePoseFactor<Pose>& wrong) {
-  for (int draw = 0; draw < kDraws; ++draw) {
-    const auto& [other, T_world_other] = poses[Below(random, poses.size())];
-    const RelativePoseFactor<Pose>& loop = sample[Below(random, sample.size())];
-    // Closer than all its links, it would bring the pose in.
-    if (!(other < linked.back()) || std::binary_search(linked.begin(), linked.end(), other)) continue;
-    const bool forward = loop.from < loop.to;
-    wrong.from = forward ? other : id;
-    wrong.to = forward ? id : other;
-    wrong.T_from_to = WithNoise(loop, random);
-    wrong.information = loop.information;
-    const double chi2 = forward ? FactorChi2<Pose>(wrong, T_world_other, T_world_id)
-                                : FactorChi2<Pose>(wrong, T_world_id, T_world_other);
-    if (chi2 >= kWrongChi2PerDof * Pose::kDof) return true;
-  }
-  return false;
-}
-
-template <class Pose>
-WrongLoops<Pose>::WrongLoops(const LoopSurvey<Pose>& survey, double percent, std::uint64_t seed)
-    : state_(new State{Random(StreamSeed(seed, kDrawStream)), survey.Sample(), {}, 0, {}}) {
+WrongLoops<Pose>::WrongLoops(const LoopSurvey<Pose>& survey, double percent, std::uint64_t seed, OutlierKind kind)
+    : state_(new State{
+          {survey.Sample(), kind, static_cast<std::size_t>(survey.Poses()), Random(StreamSeed(seed, kDrawStream))},
+          {}}) {
   if (!(percent >= 0) || !std::isfinite(percent)) {
     throw std::invalid_argument("the percentage of wrong loops must not be negative");
   }
@@ -161,13 +120,7 @@ WrongLoops<Pose>::WrongLoops(const LoopSurvey<Pose>& survey, double percent, std
                                 " wrong loops asked for, and only " + std::to_string(static_cast<long>(free)) +
                                 " pairs of poses without a link");
   }
-  // The later one of two different poses.
-  const std::size_t n = static_cast<std::size_t>(survey.Poses());
-  for (double k = 0; k < wanted; ++k) {
-    const std::size_t a = Below(state_->random, n), b = Below(state_->random, n - 1);
-    state_->later.push_back(std::max(a, b < a ? b : b + 1));
-  }
-  std::sort(state_->later.begin(), state_->later.end());
+  state_->due = state_->draw.Schedule(wanted);
 }
 
 template <class Pose>
@@ -185,24 +138,25 @@ std::vector<RelativePoseFactor<Pose>> WrongLoops<Pose>::Arrive(PoseId id, const 
   std::vector<PoseId> linked = LinkedTo(id, edges);
   // A pose that has waited for another one's edges could come in earlier by a wrong loop.
   const bool has_waited = id < s.highest;
-  while (!has_waited && !linked.empty() && s.placed < s.later.size() && s.later[s.placed] <= s.poses.size()) {
-    RelativePoseFactor<Pose> wrong;
-    if (!s.Draw(id, T_world_body_true, linked, wrong)) break;
-    const PoseId other = OtherEnd(wrong, id);
+  const auto is_due = [&] { return s.placed < s.due.size() && s.due[s.placed].place <= s.draw.Poses(); };
+  while (!has_waited && !linked.empty() && is_due()) {
+    const auto wrong = s.draw.Draw(id, T_world_body_true, linked, s.due[s.placed].group);
+    if (!wrong) break;
+    const PoseId other = OtherEnd(*wrong, id);
     linked.insert(std::lower_bound(linked.begin(), linked.end(), other), other);
-    out.push_back(wrong);
+    out.push_back(*wrong);
     ++s.placed;
   }
-  s.poses.emplace_back(id, T_world_body_true);
+  s.draw.Add(id, T_world_body_true);
   s.highest = std::max(s.highest, id);
   return out;
 }
 
 template <class Pose>
 void WrongLoops<Pose>::ExpectDone() const {
-  const std::size_t left = state_->later.size() - state_->placed;
+  const std::size_t left = state_->due.size() - state_->placed;
   if (left == 0) return;
-  throw std::invalid_argument(std::to_string(left) + " of " + std::to_string(state_->later.size()) +
+  throw std::invalid_argument(std::to_string(left) + " of " + std::to_string(state_->due.size()) +
                               " wrong loops find no place: too few pairs of poses are without a link and far enough "
                               "from what the loops measure");
 }
@@ -242,13 +196,13 @@ std::vector<Arrival<Pose>> Arrivals(const PoseGraph<Pose>& graph) {
 
 template <class Pose>
 GraphWithWrongLoops<Pose> AddWrongLoops(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
-                                        double percent, std::uint64_t seed) {
+                                        double percent, std::uint64_t seed, OutlierKind kind) {
   if (T_world_body.size() != graph.Poses().size()) throw std::invalid_argument("one value per pose is needed");
   const auto id = [&](int pose) { return graph.Poses()[static_cast<std::size_t>(pose)].id; };
   const std::vector<Arrival<Pose>> arrivals = Arrivals(graph);
   LoopSurvey<Pose> survey(seed);
   for (const auto& arrival : arrivals) survey.Arrive(id(arrival.pose), arrival.edges);
-  WrongLoops<Pose> wrong_loops(survey, percent, seed);
+  WrongLoops<Pose> wrong_loops(survey, percent, seed, kind);
   GraphWithWrongLoops<Pose> out;
   for (const auto& node : graph.Poses()) {
     out.graph.AddPose(node.id, node.T_world_body);
@@ -269,7 +223,7 @@ GraphWithWrongLoops<Pose> AddWrongLoops(const PoseGraph<Pose>& graph, const std:
   template class LoopSurvey<Pose>;                                                                                 \
   template class WrongLoops<Pose>;                                                                                 \
   template GraphWithWrongLoops<Pose> AddWrongLoops<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, double, \
-                                                         std::uint64_t);
+                                                         std::uint64_t, OutlierKind);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -28,6 +28,11 @@ struct GenerateCommandOptions {
   bool quiet = false;
 };
 
+const std::vector<std::pair<std::string, OutlierKind>> kOutlierKinds = {{"random", OutlierKind::kRandom},
+                                                                        {"local", OutlierKind::kLocal},
+                                                                        {"grouped", OutlierKind::kGrouped},
+                                                                        {"aliased", OutlierKind::kAliased}};
+
 // The wrong loops as CSV, if asked for.
 class OutliersList {
  public:
@@ -165,7 +170,8 @@ void AddToGraph(const PoseGraph<Pose>& graph, const GenerateCommandOptions& opti
   OutliersList outliers(options.outliers_list);
   GraphWithWrongLoops<Pose> out;
   AddPathToErrors(options.from, [&] {
-    out = AddWrongLoops(graph, Optimum(graph), options.generate.wrong_loop_percent, options.generate.seed);
+    const GenerateOptions& generate = options.generate;
+    out = AddWrongLoops(graph, Optimum(graph), generate.wrong_loop_percent, generate.seed, generate.wrong_loop_kind);
   });
   for (const FactorId id : out.wrong) {
     outliers.Add(std::get<RelativePoseFactor<Pose>>(out.graph.FindFactor(id)->factor));
@@ -247,6 +253,11 @@ void AddGenerateCommand(CLI::App& app) {
                        "Add wrong loops, so many per cent of the true ones; all else stays the same")
           ->check(CLI::Range(0.0, 1e9).description(""))
           ->type_name("P");
+  AddChoice(
+      *command, "--outlier-kind", options->generate.wrong_loop_kind, kOutlierKinds,
+      "Between any two poses, between poses 20 to 50 apart, in runs of 3 to 10 that agree with each other, or with "
+      "one place taken for another, 20 times each")
+      ->needs(outliers);
   command->add_option("--outliers-list", options->outliers_list, "The wrong loops as CSV: from,to")
       ->needs(outliers)
       ->type_name("FILE");

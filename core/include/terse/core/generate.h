@@ -7,6 +7,7 @@
 #include <optional>
 #include <string>
 
+#include "terse/core/outliers.h"
 #include "terse/core/pose_graph.h"
 
 namespace terse {
@@ -30,6 +31,7 @@ struct GenerateOptions {
   std::uint64_t seed = 1;
   // Wrong loops (outliers.h) in per cent of the true ones. All else is the same to the last bit with and without.
   double wrong_loop_percent = 0;
+  OutlierKind wrong_loop_kind = OutlierKind::kRandom;
 };
 
 // Receives the data in online order: pose k, then all its edges to earlier poses (odometry first), then wrong loops.

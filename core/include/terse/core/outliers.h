@@ -2,10 +2,10 @@
 // Wrong loops: links that look like the true ones of a data set but join the wrong poses, to test what must survive
 // them.
 //
-// A wrong loop joins two poses drawn evenly from the pairs that no edge joins. It has the direction and information of
-// a true loop, drawn evenly too, and its measurement with that loop's noise once more. What the true poses do not
-// contradict by a chi-square of kWrongChi2PerDof per degree of freedom is drawn again. A wrong loop is never the link
-// that brings its later pose in: the order of arrival (arrival.h) stays what it was.
+// A wrong loop joins two poses that no edge joins. It has the direction and information of a true loop, drawn evenly,
+// and noise of that information. What the true poses do not contradict by a chi-square of kWrongChi2PerDof per degree
+// of freedom is drawn again. A wrong loop is never the link that brings its later pose in: the order of arrival
+// (arrival.h) stays what it was.
 //
 // Two passes over the same data in online order, so that only the poses are held: LoopSurvey counts and samples,
 // WrongLoops draws. Same data, percentage and seed, same wrong loops, on every machine.
@@ -20,6 +20,12 @@ namespace terse {
 
 // Five standard deviations in every direction.
 constexpr double kWrongChi2PerDof = 25;
+
+// kRandom: between two poses drawn evenly, with a true loop's measurement. kLocal: the same between poses 20 to 50
+// apart in order of arrival. kGrouped: 3 to 10 of consecutive poses that agree with each other, each leading to a pose
+// up to two from where the last one led; the first is as kRandom. kAliased: a place is taken for another one, up to 20
+// times from wherever a true loop could be measured there; the first time is as kRandom.
+enum class OutlierKind { kRandom, kLocal, kGrouped, kAliased };
 
 // A relative factor is a loop unless it joins poses that arrive one right after the other.
 template <class Pose>
@@ -50,7 +56,8 @@ class WrongLoops {
   // `percent` of the survey's loops, rounded to the nearest number; more than 100 is fine. Throws
   // std::invalid_argument if it is negative or not finite, if there are no loops to take a share of, and if fewer
   // pairs are free.
-  WrongLoops(const LoopSurvey<Pose>& survey, double percent, std::uint64_t seed);
+  WrongLoops(const LoopSurvey<Pose>& survey, double percent, std::uint64_t seed,
+             OutlierKind kind = OutlierKind::kRandom);
   ~WrongLoops();
   WrongLoops(WrongLoops&&) noexcept;
   WrongLoops& operator=(WrongLoops&&) noexcept;
@@ -77,6 +84,6 @@ struct GraphWithWrongLoops {
 // std::invalid_argument as WrongLoops does, for a graph that is not connected and for another number of values.
 template <class Pose>
 GraphWithWrongLoops<Pose> AddWrongLoops(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
-                                        double percent, std::uint64_t seed);
+                                        double percent, std::uint64_t seed, OutlierKind kind = OutlierKind::kRandom);
 
 }  // namespace terse
