@@ -35,11 +35,11 @@ StereoOdometryOptions OdometryOptions(const StereoSlamOptions& options) {
 
 }  // namespace
 
-CompactOptions<SE3> StereoCompactOptions() {
+CompactOptions<SE3> StereoCompactOptions(Strategy strategy) {
   CompactOptions<SE3> out;
-  out.strategy = Strategy::kBounded;
+  out.strategy = strategy;
   out.thresholds.range = {3, 3, 8, 0.7};
-  out.thresholds.min_loop_gain = 8;
+  out.thresholds.min_loop_gain = strategy == Strategy::kBounded ? 4 : 8;
   out.thresholds.min_pose_gain = 8;
   Vector<6> sigma;
   sigma << 0.02, 0.02, 0.03, 0.001, 0.001, 0.001;

@@ -117,6 +117,8 @@ TEST_F(KittiCommandTest, CountsPosesThatRetire) {
   EXPECT_NE(outcome.out.find(" retired; their removal lost "), std::string::npos) << outcome.out;
   EXPECT_FALSE(Succeed("kitti street --output few --frames 0:4 --strategy fpfl").out.empty());
   EXPECT_FALSE(JsonFile("few/stats.json").contains("poses_retired"));
+  EXPECT_EQ(JsonFile("out/thresholds.json").at("min_loop_gain"), 4);
+  EXPECT_EQ(JsonFile("few/thresholds.json").at("min_loop_gain"), 8) << "each strategy has its own";
   for (const std::string bad : {"-1", "nan"}) {
     ExpectFailure("kitti street --output bad --retire-share " + bad, 2, "--retire-share: " + bad);
   }

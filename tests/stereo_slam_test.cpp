@@ -73,6 +73,10 @@ TEST_F(StereoSlamTest, KeepsFewPosesAndClosesLoops) {
 // The way back adds no poses: there the camera is found again.
 TEST_F(StereoSlamTest, TheDefaultIsBounded) {
   ASSERT_EQ(StereoCompactOptions().strategy, Strategy::kBounded);
+  EXPECT_EQ(StereoCompactOptions(Strategy::kFpfl).strategy, Strategy::kFpfl);
+  EXPECT_LT(StereoCompactOptions().thresholds.min_loop_gain,
+            StereoCompactOptions(Strategy::kFpfl).thresholds.min_loop_gain)
+      << "its links cost no poses";
   StereoSlam slam(scene_->camera, Eager(StereoCompactOptions().strategy)), few(scene_->camera, Eager(Strategy::kFpfl));
   int anchored = 0;
   for (const StereoFrame& frame : scene_->frames) {

@@ -73,8 +73,8 @@ struct Outcome {
 Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, const std::vector<SE3>& truth,
                 const KittiCommandOptions& options, bool by_appearance, const std::string& folder) {
   KittiRunOptions how;
+  how.slam.compact = StereoCompactOptions(options.strategy);
   if (!options.thresholds.empty()) how.slam.compact.thresholds = ReadThresholds<SE3>(options.thresholds);
-  how.slam.compact.strategy = options.strategy;
   how.slam.compact.budget = options.budget;
   how.slam.compact.min_variance_drop = options.min_variance_drop;
   how.slam.compact.retire_share = options.retire_share;

@@ -25,9 +25,10 @@
 
 namespace terse {
 
-// Strategy::kBounded with thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in
-// height, 8 m along the view, 40 degrees; link covariance as verified loops have it.
-CompactOptions<SE3> StereoCompactOptions();
+// Thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in height, 8 m along the view,
+// 40 degrees; link covariance as verified loops have it. With kBounded a link costs no pose, but starts the chain anew
+// with what odometry did not measure: there it has to tell half as much.
+CompactOptions<SE3> StereoCompactOptions(Strategy strategy = Strategy::kBounded);
 
 struct StereoSlamOptions {
   CompactOptions<SE3> compact = StereoCompactOptions();
