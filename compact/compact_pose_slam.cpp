@@ -174,6 +174,11 @@ bool CompactPoseSlam<Pose>::HasForgotten(PoseId id) const {
 }
 
 template <class Pose>
+long CompactPoseSlam<Pose>::PosesForgotten() const {
+  return parts_->history.Forgotten();
+}
+
+template <class Pose>
 int CompactPoseSlam<Pose>::PosesSeen() const {
   return static_cast<int>(parts_->history.Size() + parts_->history.Forgotten());
 }

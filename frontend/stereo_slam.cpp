@@ -35,11 +35,11 @@ StereoOdometryOptions OdometryOptions(const StereoSlamOptions& options) {
 
 }  // namespace
 
-CompactOptions<SE3> StereoCompactOptions() {
+CompactOptions<SE3> StereoCompactOptions(Strategy strategy) {
   CompactOptions<SE3> out;
-  out.strategy = Strategy::kBounded;
+  out.strategy = strategy;
   out.thresholds.range = {3, 3, 8, 0.7};
-  out.thresholds.min_loop_gain = 8;
+  out.thresholds.min_loop_gain = strategy == Strategy::kBounded ? 4 : 8;
   out.thresholds.min_pose_gain = 8;
   Vector<6> sigma;
   sigma << 0.02, 0.02, 0.03, 0.001, 0.001, 0.001;
@@ -119,6 +119,36 @@ void StereoSlam::StoreFeatures(PoseId id) {
   stored_.push_back(id);
 }
 
+void StereoSlam::DropFeatures(const std::vector<RetiredPose>& retired) {
+  for (const RetiredPose& pose : retired) {
+    verifier_.Forget(pose.id);
+    stored_.erase(std::remove(stored_.begin(), stored_.end(), pose.id), stored_.end());
+  }
+}
+
+void StereoSlam::NoteOdometry(PoseId id, const std::optional<RelativePoseFactor<SE3>>& measured) {
+  const SE3 before = odometry_poses_.empty() ? SE3() : odometry_poses_.back().T_first_frame;
+  odometry_poses_.push_back({id, measured ? before * measured->T_from_to : before});
+  if (map_.PosesForgotten() == forgotten_) return;
+  forgotten_ = map_.PosesForgotten();
+  const auto is_forgotten = [&](const OdometryPose& pose) { return !map_.HasSeen(pose.id); };
+  odometry_poses_.erase(std::remove_if(odometry_poses_.begin(), odometry_poses_.end(), is_forgotten),
+                        odometry_poses_.end());
+}
+
+std::vector<SE3> StereoSlam::OdometryTrajectory() const {
+  std::vector<SE3> out;
+  out.reserve(odometry_poses_.size());
+  for (const OdometryPose& pose : odometry_poses_) out.push_back(pose.T_first_frame);
+  return out;
+}
+
+std::vector<RetiredPose> StereoSlam::Retire() {
+  std::vector<RetiredPose> retired = map_.Retire();
+  DropFeatures(retired);
+  return retired;
+}
+
 StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
   StereoSlamStep step;
   step.id = PoseId{frame.index};
@@ -145,18 +175,14 @@ StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
       map_.AddPose(input, [&](PoseId candidate, PoseId current) { return Register(candidate, current, step); });
   const double others = appearance_ ? 0 : step.times.features;
   step.times.map = timer.Lap() - others - step.times.verification;
-  for (const RetiredPose& pose : step.decision.retired) {
-    verifier_.Forget(pose.id);
-    stored_.erase(std::remove(stored_.begin(), stored_.end(), pose.id), stored_.end());
-  }
+  DropFeatures(step.decision.retired);
   if (step.decision.Kept()) {
     StoreFeatures(step.id);
     step.times.features += timer.Lap();
   }
   previous_ = step.id;
   pending_.reset();
-  const SE3 before = odometry_trajectory_.empty() ? SE3() : odometry_trajectory_.back();
-  odometry_trajectory_.push_back(input.odometry ? before * input.odometry->T_from_to : before);
+  NoteOdometry(step.id, input.odometry);
   return step;
 }
 

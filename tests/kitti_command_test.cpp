@@ -10,29 +10,46 @@
 namespace terse::testing {
 namespace {
 
-constexpr int kFrames = 9;
+constexpr int kFrames = 9, kFramesOfRounds = 54;
 
 class KittiCommandTest : public CommandTest {
  protected:
   void SetUp() override {
     CommandTest::SetUp();
     static const ThereAndBack scene = MakeThereAndBack(0, kFrames);
-    std::filesystem::create_directories(folder_ / "street/image_0");
-    std::filesystem::create_directories(folder_ / "street/image_1");
+    WriteSequence(scene, kFrames, "street", "truth.txt");
+    WriteSequence(scene, kFramesOfRounds, "rounds", "rounds.txt");
+  }
+
+  // cheap.json: the defaults but for these.
+  void WriteThresholds(double min_loop_gain, double min_pose_gain) const {
+    Succeed("kitti street --frames 0:1 --output defaults --quiet");
+    auto thresholds = JsonFile("defaults/thresholds.json");
+    thresholds["min_loop_gain"] = min_loop_gain;
+    thresholds["min_pose_gain"] = min_pose_gain;
+    Write("cheap.json", thresholds.dump());
+  }
+
+ private:
+  // Its frames again and again.
+  void WriteSequence(const ThereAndBack& scene, int frames, const std::string& folder, const std::string& truth_file) {
+    std::filesystem::create_directories(folder_ / folder / "image_0");
+    std::filesystem::create_directories(folder_ / folder / "image_1");
     std::string times;
     Trajectory truth;
     truth.format = TrajectoryFormat::kKitti;
-    for (const StereoFrame& frame : scene.frames) {
-      const std::string name = "00000" + std::to_string(frame.index) + ".png";
-      WriteGreyPng(Path("street/image_0/" + name), frame.left);
-      WriteGreyPng(Path("street/image_1/" + name), frame.right);
-      times += std::to_string(frame.time) + "\n";
-      truth.stamps.push_back(frame.index);
-      truth.T_world_body.push_back(scene.T_world_camera[static_cast<std::size_t>(frame.index)]);
+    for (int k = 0; k < frames; ++k) {
+      const std::size_t shown = static_cast<std::size_t>(k) % scene.frames.size();
+      const std::string name = std::to_string(1000000 + k).substr(1) + ".png";
+      WriteGreyPng(Path(folder + "/image_0/" + name), scene.frames[shown].left);
+      WriteGreyPng(Path(folder + "/image_1/" + name), scene.frames[shown].right);
+      times += std::to_string(0.1 * k) + "\n";
+      truth.stamps.push_back(k);
+      truth.T_world_body.push_back(scene.T_world_camera[shown]);
     }
-    Write("street/times.txt", times);
-    WriteKittiCalibration(scene.camera, Path("street/calib.txt"));
-    WriteKitti(truth, Path("truth.txt"));
+    Write(folder + "/times.txt", times);
+    WriteKittiCalibration(scene.camera, Path(folder + "/calib.txt"));
+    WriteKitti(truth, Path(truth_file));
   }
 };
 
@@ -90,17 +107,77 @@ TEST_F(KittiCommandTest, CountsPosesThatRetire) {
   long retired = 0;
   std::istringstream lines(Read("out/decisions.jsonl"));
   for (std::string line; std::getline(lines, line);) {
-    retired += static_cast<long>(nlohmann::json::parse(line).value("retired", nlohmann::json::array()).size());
+    const auto decision = nlohmann::json::parse(line);
+    for (const char* key : {"retired", "retired_at_end"}) {
+      retired += static_cast<long>(decision.value(key, nlohmann::json::array()).size());
+    }
   }
   EXPECT_EQ(stats.at("poses_retired"), retired);
   EXPECT_GE(stats.at("retired_loss_nats"), 0);
   EXPECT_NE(outcome.out.find(" retired; their removal lost "), std::string::npos) << outcome.out;
   EXPECT_FALSE(Succeed("kitti street --output few --frames 0:4 --strategy fpfl").out.empty());
   EXPECT_FALSE(JsonFile("few/stats.json").contains("poses_retired"));
+  EXPECT_EQ(JsonFile("out/thresholds.json").at("min_loop_gain"), 4);
+  EXPECT_EQ(JsonFile("few/thresholds.json").at("min_loop_gain"), 8) << "each strategy has its own";
   for (const std::string bad : {"-1", "nan"}) {
     ExpectFailure("kitti street --output bad --retire-share " + bad, 2, "--retire-share: " + bad);
   }
   EXPECT_FALSE(Exists("bad"));
+}
+
+// Links so cheap that poses are kept for them; all in one place, some retire at the end.
+TEST_F(KittiCommandTest, PosesRetireAtTheEnd) {
+  WriteThresholds(0.01, 1);
+  const std::string run = "kitti rounds --frames 0:45 --thresholds cheap.json --output ";
+  Succeed(run + "none --retire-share 0 --quiet");
+  const Outcome outcome = Succeed(run + "some --retire-share 500");
+  const auto none = JsonFile("none/stats.json"), some = JsonFile("some/stats.json");
+  EXPECT_EQ(none.at("poses_retired"), 0);
+  EXPECT_GT(some.at("poses_retired"), 0) << none.at("poses_kept");
+  EXPECT_EQ(some.at("poses_kept").get<int>() + some.at("poses_retired").get<int>(), none.at("poses_kept"));
+  EXPECT_NE(outcome.out.find(some.at("poses_retired").dump() + " pose"), std::string::npos) << outcome.out;
+  const std::string decisions = Read("some/decisions.jsonl");
+  const auto last = nlohmann::json::parse(decisions.substr(decisions.rfind('\n', decisions.size() - 2) + 1));
+  EXPECT_EQ(last.at("retired_at_end").size(), some.at("poses_retired"));
+}
+
+// All that has a row per pose is of the poses remembered, and fits together: the report reads it.
+TEST_F(KittiCommandTest, RemembersAsManyFramesAsAskedFor) {
+  WriteThresholds(1, 2);
+  const std::string run = "kitti rounds --thresholds cheap.json --ground-truth rounds.txt --output ";
+  Succeed(run + "all --quiet");
+  Succeed(run + "few --quiet --remember all");
+  EXPECT_EQ(Read("few/trajectory.kitti.txt"), Read("all/trajectory.kitti.txt")) << "the default";
+  const Outcome outcome = Succeed(run + "few --remember 3");
+  EXPECT_NE(outcome.out.find(" frames are forgotten (--remember)"), std::string::npos) << outcome.out;
+  const auto all = JsonFile("all/stats.json"), few = JsonFile("few/stats.json");
+  EXPECT_FALSE(all.contains("frames_forgotten"));
+  const auto forgotten = few.at("frames_forgotten").get<std::size_t>();
+  EXPECT_GT(forgotten, kFramesOfRounds / 2u);
+  EXPECT_EQ(few.at("frames"), kFramesOfRounds);
+  EXPECT_EQ(few.at("poses_kept"), all.at("poses_kept"));
+  const std::size_t remembered = kFramesOfRounds - forgotten;
+  const Trajectory tum = ReadTrajectory(Path("few/trajectory.tum")), whole = ReadTrajectory(Path("all/trajectory.tum"));
+  ASSERT_EQ(tum.stamps.size(), remembered);
+  for (std::size_t k = 0; k < remembered; ++k) {
+    const auto frame = static_cast<std::size_t>(10 * tum.stamps[k] + 0.5);
+    EXPECT_LT(tum.T_world_body[k].Local(whole.T_world_body[frame]).norm(), 0.05) << frame;
+  }
+  EXPECT_EQ(ReadTrajectory(Path("few/ground_truth.tum")).stamps, tum.stamps);
+  EXPECT_EQ(JsonFile("few/graph.json").at("poses").size(), remembered);
+  EXPECT_EQ(JsonFile("few/graph.json").at("forgotten"), forgotten);
+  for (const char* file : {"decisions.csv", "steps.csv"}) {
+    EXPECT_EQ(CsvRows(Read(std::string("few/") + file)).size(), remembered) << file;
+  }
+  for (const char* file : {"trajectory.kitti.txt", "odometry.kitti.txt"}) {
+    EXPECT_TRUE(Exists(std::string("all/") + file));
+    EXPECT_FALSE(Exists(std::string("few/") + file)) << "rows that are frames by their place alone";
+  }
+  EXPECT_NEAR(few.at("errors").at("ate_m").get<double>(), all.at("errors").at("ate_m").get<double>(), 0.05);
+  EXPECT_TRUE(Exists("few/report.html"));
+  for (const std::string bad : {"0", "-1", "some"}) {
+    ExpectFailure("kitti street --output bad --remember " + bad, 2, bad + " is neither a number of poses");
+  }
 }
 
 TEST_F(KittiCommandTest, ChoosesFramesAndSearch) {

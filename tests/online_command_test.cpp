@@ -160,6 +160,7 @@ TEST_F(OnlineCommand, AnswersEveryPoseWithOneLine) {
   EXPECT_EQ(rows.size(), 80u);
   int poses = 0, accepted = 0;
   for (const json& answer : answers) {
+    if (answer.contains("retired_at_end")) continue;
     EXPECT_GE(answer["seconds"].get<double>(), 0);
     if (!answer.contains("pose")) continue;  // a late link
     ++poses;
@@ -402,6 +403,38 @@ TEST_F(OnlineCommand, TellsWhichPosesRetire) {
   for (const std::string bad : {"-1", "nan"}) {
     ExpectFailure(online + "--retire-share " + bad + " < input", 2, "--retire-share: " + bad);
   }
+}
+
+// As compact has it, where results are written; the journal knows nothing of it, so that a run goes on as if it had not
+// ended.
+TEST_F(OnlineCommand, PosesRetireAtTheEndOfTheInput) {
+  const auto lines = Measurements(400);
+  Write("in.g2o", Join(lines, 0, lines.size()));
+  Succeed("compact in.g2o --output whole --calibrate-information off --quiet");
+  const json expected = ParseLines(Read("whole/decisions.jsonl")).back().at("retired_at_end");
+  ASSERT_FALSE(expected.empty());
+  const std::string online = "online --thresholds whole/thresholds.json --output ";
+  const auto answers = ParseLines(Succeed(online + "out < in.g2o").out);
+  EXPECT_EQ(answers.back(), json({{"retired_at_end", expected}}));
+  EXPECT_EQ(Read("out/trajectory.tum"), Read("whole/trajectory.tum"));
+  EXPECT_EQ(Succeed(online + "out --quiet < in.g2o").out, "");
+  const std::string without = "online --thresholds whole/thresholds.json --remember all ";
+  EXPECT_EQ(Succeed(without + "< in.g2o").out.find("retired_at_end"), std::string::npos) << "it stays on the way";
+  // An end in between, where a pose is complete.
+  std::size_t half = lines.size() / 2;
+  const auto is_odometry = [&](std::size_t line) {
+    std::istringstream fields(lines[line]);
+    std::string tag;
+    long from = 0, to = 0;
+    fields >> tag >> from >> to;
+    return std::abs(from - to) == 1;
+  };
+  while (!is_odometry(half)) ++half;
+  Write("first.g2o", Join(lines, 0, half));
+  Write("rest.g2o", Join(lines, half, lines.size()));
+  Succeed(online + "half --journal journal --quiet < first.g2o");
+  Succeed(online + "again --journal journal --quiet < rest.g2o");
+  ExpectSameResults("again", "out");
 }
 
 // The library's run over the same lines with kOptions.

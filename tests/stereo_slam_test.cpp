@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <opencv2/core.hpp>
 #include <set>
 #include <stdexcept>
@@ -30,6 +31,13 @@ class StereoSlamTest : public ::testing::Test {
     options.compact.thresholds.min_loop_gain = 1;
     options.compact.thresholds.min_pose_gain = 2;
     return options;
+  }
+  // Round and round the same street, for ever.
+  static StereoFrame FrameOfRounds(int index) {
+    StereoFrame frame = scene_->frames[static_cast<std::size_t>(index) % scene_->frames.size()];
+    frame.index = index;
+    frame.time = 0.1 * index;
+    return frame;
   }
   static double AteMetres(const StereoSlam& slam) {
     std::vector<SE3> estimate;
@@ -65,6 +73,10 @@ TEST_F(StereoSlamTest, KeepsFewPosesAndClosesLoops) {
 // The way back adds no poses: there the camera is found again.
 TEST_F(StereoSlamTest, TheDefaultIsBounded) {
   ASSERT_EQ(StereoCompactOptions().strategy, Strategy::kBounded);
+  EXPECT_EQ(StereoCompactOptions(Strategy::kFpfl).strategy, Strategy::kFpfl);
+  EXPECT_LT(StereoCompactOptions().thresholds.min_loop_gain,
+            StereoCompactOptions(Strategy::kFpfl).thresholds.min_loop_gain)
+      << "its links cost no poses";
   StereoSlam slam(scene_->camera, Eager(StereoCompactOptions().strategy)), few(scene_->camera, Eager(Strategy::kFpfl));
   int anchored = 0;
   for (const StereoFrame& frame : scene_->frames) {
@@ -91,10 +103,7 @@ TEST_F(StereoSlamTest, ThePosesThatRetireTakeTheirFeaturesWithThem) {
   std::set<std::int64_t> in_map;
   std::size_t retired = 0;
   for (int frames = 0; frames < 84; ++frames) {
-    StereoFrame frame = scene_->frames[static_cast<std::size_t>(frames) % scene_->frames.size()];
-    frame.index = frames;
-    frame.time = 0.1 * frames;
-    const StereoSlamStep step = slam.AddFrame(frame);
+    const StereoSlamStep step = slam.AddFrame(FrameOfRounds(frames));
     if (step.decision.Kept()) in_map.insert(step.id.value);
     ASSERT_TRUE(step.decision.revived.empty()) << "no features are stored of those";
     for (const RetiredPose& pose : step.decision.retired) {
@@ -107,6 +116,40 @@ TEST_F(StereoSlamTest, ThePosesThatRetireTakeTheirFeaturesWithThem) {
   }
   EXPECT_GT(retired, 0u);
   EXPECT_EQ(Kept(slam), in_map.size());
+  // And at the end.
+  const std::vector<RetiredPose> at_end = slam.Retire();
+  EXPECT_FALSE(at_end.empty());
+  for (const RetiredPose& pose : at_end) {
+    EXPECT_EQ(in_map.erase(pose.id.value), 1u);
+    EXPECT_FALSE(slam.Verifier().Has(pose.id));
+  }
+  EXPECT_EQ(slam.Verifier().Kept(), in_map.size());
+  EXPECT_EQ(Kept(slam), in_map.size());
+}
+
+// What is held of frames that the map has forgotten goes, and the rest stays as it would have been.
+TEST_F(StereoSlamTest, ARunWithoutAnEndHoldsWhatTheMapRemembers) {
+  constexpr int kFrames = 60;
+  StereoSlamOptions options = Eager(Strategy::kBounded);
+  StereoSlam all(scene_->camera, options);
+  options.compact.most_dropped = 4;
+  StereoSlam slam(scene_->camera, options);
+  std::size_t most = 0;
+  for (int k = 0; k < kFrames; ++k) {
+    all.AddFrame(FrameOfRounds(k));
+    slam.AddFrame(FrameOfRounds(k));
+    const auto poses = slam.Map().Trajectory();
+    const std::vector<SE3> odometry = slam.OdometryTrajectory(), whole = all.OdometryTrajectory();
+    ASSERT_EQ(odometry.size(), poses.size());
+    ASSERT_EQ(whole.size(), static_cast<std::size_t>(k) + 1);
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      EXPECT_TRUE(odometry[i].Translation() == whole[static_cast<std::size_t>(poses[i].id.value)].Translation()) << i;
+    }
+    EXPECT_EQ(slam.Map().PosesForgotten() + static_cast<long>(poses.size()), k + 1);
+    most = std::max(most, poses.size());
+  }
+  EXPECT_EQ(all.Map().PosesForgotten(), 0);
+  EXPECT_LT(most, kFrames / 2u);
 }
 
 TEST_F(StereoSlamTest, AllPosesAllLinksRegistersWhateverIsInRange) {

@@ -79,9 +79,9 @@ std::optional<double> RangeIn(const nlohmann::json& thresholds) {
 
 // Of graph.json: what Reader asks for, a small part of it.
 const std::set<std::string>& KeysOfGraph() {
-  static const std::set<std::string> keys = {"dimension", "poses", "id",          "kept",        "edges",
-                                             "from",      "to",    "kind",        "factor",      "added_at",
-                                             "gain_nats", "parts", "composed_of", "measurements"};
+  static const std::set<std::string> keys = {"dimension", "poses", "id",          "kept",         "edges",
+                                             "from",      "to",    "kind",        "factor",       "added_at",
+                                             "gain_nats", "parts", "composed_of", "measurements", "forgotten"};
   return keys;
 }
 
@@ -96,6 +96,7 @@ class Reader {
       throw FileError(path, 0, "dimension: " + std::to_string(dimension) + ", expected 2 or 3");
     }
     run_.dimension = static_cast<int>(dimension);
+    forgets_ = graph.contains("forgotten");
     for (const auto& pose : graph.at("poses")) {
       const std::int64_t id = WholeNumber(pose.at("id"), path);
       if (!index_.emplace(id, static_cast<int>(run_.ids.size())).second) {
@@ -113,7 +114,7 @@ class Reader {
       const int from = index("from"), to = index("to");
       if (edge.at("kind") == "loop") {
         const auto innovation = innovations_.find(WholeNumber(edge.at("factor"), path));
-        run_.links.push_back({from, to, index("added_at"), Optional(edge.at("gain_nats")),
+        run_.links.push_back({from, to, StepOf(edge.at("added_at"), path), Optional(edge.at("gain_nats")),
                               innovation != innovations_.end() ? innovation->second : std::nullopt});
         ReadParts(edge, path, run_.links.back());
       } else {
@@ -225,7 +226,9 @@ class Reader {
   void AddPoses(const nlohmann::json& from, const char* key, const std::string& path, std::vector<int>& to) const {
     const auto list = from.find(key);
     if (list == from.end()) return;
-    for (const auto& id : *list) to.push_back(IndexOf(id, path));
+    for (const auto& id : *list) {
+      if (const auto index = FindPose(id, path)) to.push_back(*index);
+    }
   }
 
   RunDecision MakeDecision(const nlohmann::json& from, const std::string& path, long line) {
@@ -236,8 +239,10 @@ class Reader {
     out.links_refused = WholeNumber(from.at("links_refused"), path, line);
     out.pose_gain = Optional(from.at("pose_gain_nats"));
     for (const auto& candidate : from.at("candidates")) {
+      const std::optional<int> pose = FindPose(candidate.at("id"), path);
+      if (!pose) continue;
       RunCandidate& to = out.candidates.emplace_back();
-      to.pose = IndexOf(candidate.at("id"), path);
+      to.pose = *pose;
       to.accepted = candidate.at("accepted").get<bool>();
       to.probability = Optional(candidate.at("probability"));
       to.gain = Optional(candidate.at("gain_nats"));
@@ -250,11 +255,11 @@ class Reader {
       if (!candidate.at("factor").is_null())
         innovations_[WholeNumber(candidate.at("factor"), path, line)] = to.innovation;
     }
-    if (const auto at = from.find("anchored_to"); at != from.end()) out.anchored_to = IndexOf(*at, path);
+    if (const auto at = from.find("anchored_to"); at != from.end()) out.anchored_to = FindPose(*at, path);
     if (const auto edges = from.find("edges"); edges != from.end()) {
       for (const auto& edge : *edges) {
-        out.edges.push_back({IndexOf(edge.at("from"), path), IndexOf(edge.at("to"), path),
-                             Optional(edge.at("gain_nats")), edge.at("fused").get<bool>()});
+        const std::optional<int> a = FindPose(edge.at("from"), path), b = FindPose(edge.at("to"), path);
+        if (a && b) out.edges.push_back({*a, *b, Optional(edge.at("gain_nats")), edge.at("fused").get<bool>()});
       }
     }
     AddPoses(from, "revived", path, out.revived);
@@ -284,6 +289,20 @@ class Reader {
     const auto found = index_.find(WholeNumber(id, path));
     if (found != index_.end()) return found->second;
     throw FileError(path, 0, "names pose " + id.dump() + ", which is not among the poses of graph.json");
+  }
+
+  // Nothing for a pose that the run has forgotten.
+  std::optional<int> FindPose(const nlohmann::json& id, const std::string& path) const {
+    if (forgets_ && index_.count(WholeNumber(id, path)) == 0) return std::nullopt;
+    return IndexOf(id, path);
+  }
+
+  // The step of a pose, or the next one that there is: where poses are forgotten ids ascend.
+  int StepOf(const nlohmann::json& id, const std::string& path) const {
+    if (const auto index = FindPose(id, path)) return *index;
+    const auto next = std::lower_bound(run_.ids.begin(), run_.ids.end(), WholeNumber(id, path));
+    if (next == run_.ids.end()) return IndexOf(id, path);
+    return static_cast<int>(next - run_.ids.begin());
   }
 
   static std::pair<std::vector<std::string>, std::vector<std::vector<double>>> ReadCsv(const std::string& path) {
@@ -316,6 +335,7 @@ class Reader {
 
   RunFolder& run_;
   const nlohmann::ordered_json& stats_;
+  bool forgets_ = false;                              // dropped poses: others may name some that are not there
   const bool is_stereo_ = stats_.contains("frames");  // stamps are seconds then, and rows in order of arrival
   std::unordered_map<std::int64_t, int> index_;
   std::unordered_map<std::int64_t, std::optional<double>> innovations_;  // by factor

@@ -39,7 +39,8 @@ void StepRecorder<Pose>::Add(const CompactPoseSlam<Pose>& slam, const Decision& 
     step.gate_open = decision.update->gate_open;
     step.gate_value = decision.update->gate_value;
   }
-  const int number = static_cast<int>(steps_.size()) + 1;
+  DropForgotten(slam);
+  const int number = ++added_;
   const bool is_last = number == expected_;
   if (number % stride_ == 0 || is_last) {
     step.hessian_nonzeros = HessianNonzeros(slam.Solver().Graph());
@@ -61,7 +62,16 @@ std::int64_t StepRecorder<Pose>::HessianNonzeros(const PoseGraph<Pose>& graph) {
          B * B * static_cast<std::int64_t>(pairs_.size());
 }
 
-// Of all poses seen, as they are known now: dropped ones by their chains.
+template <class Pose>
+void StepRecorder<Pose>::DropForgotten(const CompactPoseSlam<Pose>& slam) {
+  if (slam.PosesForgotten() == forgotten_) return;
+  forgotten_ = slam.PosesForgotten();
+  const auto is_forgotten = [&](const CompactStep& step) { return !slam.HasSeen(step.pose); };
+  steps_.erase(std::remove_if(steps_.begin(), steps_.end(), is_forgotten), steps_.end());
+  true_.clear();
+}
+
+// Of all poses remembered, as they are known now: dropped ones by their chains.
 template <class Pose>
 std::optional<double> StepRecorder<Pose>::Ate(const CompactPoseSlam<Pose>& slam) {
   const std::vector<RecoveredPose<Pose>> trajectory = slam.Trajectory(Recovery::kV1);

@@ -87,4 +87,21 @@ void AddBoundedOptions(CLI::App& command, double& min_variance_drop, double& ret
       ->type_name("SHARE");
 }
 
+CLI::Option& AddRememberOption(CLI::App& command, std::string& remember, const std::string& help) {
+  return *command.add_option("--remember", remember, help)
+              ->check([](const std::string& text) {
+                const bool is_count = !text.empty() && text.size() < 10 &&
+                                      text.find_first_not_of("0123456789") == text.npos &&
+                                      text.find_first_not_of('0') != text.npos;
+                return is_count || text == kRememberAll ? std::string()
+                                                        : text + " is neither a number of poses, 1 or more, nor all";
+              })
+              ->type_name("N|all");
+}
+
+std::optional<int> MostDropped(const std::string& remember) {
+  if (remember == kRememberAll) return std::nullopt;
+  return std::stoi(remember);
+}
+
 }  // namespace terse

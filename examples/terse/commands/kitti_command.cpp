@@ -26,7 +26,7 @@ struct FrameRange {
 };
 
 struct KittiCommandOptions {
-  std::string path, directory, thresholds, ground_truth, frames;
+  std::string path, directory, thresholds, ground_truth, frames, remember = kRememberAll;
   Strategy strategy = StereoCompactOptions().strategy;
   CompactBudget budget;
   double min_variance_drop = 0, retire_share = CompactOptions<SE3>().retire_share;
@@ -73,11 +73,12 @@ struct Outcome {
 Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, const std::vector<SE3>& truth,
                 const KittiCommandOptions& options, bool by_appearance, const std::string& folder) {
   KittiRunOptions how;
+  how.slam.compact = StereoCompactOptions(options.strategy);
   if (!options.thresholds.empty()) how.slam.compact.thresholds = ReadThresholds<SE3>(options.thresholds);
-  how.slam.compact.strategy = options.strategy;
   how.slam.compact.budget = options.budget;
   how.slam.compact.min_variance_drop = options.min_variance_drop;
   how.slam.compact.retire_share = options.retire_share;
+  how.slam.compact.most_dropped = MostDropped(options.remember);
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
   how.truth = truth;
@@ -87,8 +88,8 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.after_step = [&](const StereoSlamStep& step) { loops.Add(step); };
   Outcome out{RunKitti(sequence, frames, how), std::nullopt};
   loops.Commit();
-  if (truth.size() > 1) out.errors = ComputeKittiErrors(out.run, sequence, truth);
-  WriteKittiResults(out.run, sequence, truth, out.errors, folder);
+  if (out.run.truth.size() > 1) out.errors = ComputeKittiErrors(out.run, sequence);
+  WriteKittiResults(out.run, sequence, out.errors, folder);
   WriteReport({folder}, folder + "/report.html");
   if (!options.quiet) PrintKittiSummary(out.run, out.errors, folder);
   return out;
@@ -138,6 +139,12 @@ void AddKittiCommand(CLI::App& app) {
       ->type_name("FILE");
   AddBudgetOptions(*command, options->budget);
   AddBoundedOptions(*command, options->min_variance_drop, options->retire_share);
+  AddRememberOption(
+      *command, options->remember,
+      "Dropped poses that are remembered: so many of the newest, and those on the chains of others; older "
+      "ones are left out of the trajectory and of the files with a row per pose, and memory grows with "
+      "the map alone")
+      .capture_default_str();
   command->add_option("--frames", options->frames, "Only frames A, A + 1 ... B - 1; either may be left out")
       ->check(
           [](const std::string& text) { return ParseRange(text) ? "" : text + " is no range of frames like 0:100"; })

@@ -33,7 +33,6 @@ struct OnlineCommandOptions {
 };
 
 // Of dropped poses, unless a trajectory is to be written.
-constexpr const char* kAll = "all";
 constexpr int kRemembered = 1000;
 constexpr const char* kMostDropped = "most_dropped";
 
@@ -66,7 +65,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   options.budget = from.budget;
   options.min_variance_drop = from.min_variance_drop;
   options.retire_share = from.retire_share;
-  if (!from.remember.empty() && from.remember != kAll) options.most_dropped = std::stoi(from.remember);
+  if (!from.remember.empty()) options.most_dropped = MostDropped(from.remember);
   options.log = from.log;
   return options;
 }
@@ -99,9 +98,9 @@ std::string Remembered(const OnlineCommandOptions& options, const Journal* journ
   if (!options.remember.empty()) return options.remember;
   if (journal != nullptr && !journal->IsNew()) {
     const ordered_json most_dropped = ParseHeader(*journal).value(kMostDropped, ordered_json());
-    return most_dropped.is_number_integer() ? most_dropped.dump() : kAll;
+    return most_dropped.is_number_integer() ? most_dropped.dump() : kRememberAll;
   }
-  return options.run.directory.empty() ? std::to_string(kRemembered) : kAll;
+  return options.run.directory.empty() ? std::to_string(kRemembered) : kRememberAll;
 }
 
 // Unless it is said, as the journal has it; a word of no strategy is left to the comparison of headers.
@@ -220,17 +219,10 @@ void AddOnlineCommand(CLI::App& app) {
       ->type_name("DIR");
   AddChoice(*command, "--recover", options->run.recovery, Choices<Recovery>(),
             "How dropped poses come back, see compact");
-  command
-      ->add_option("--remember", options->remember,
-                   "Dropped poses that can still be asked for and linked to: so many of the newest, and those on the "
-                   "chains of others; loops to older ones are left out, and memory grows with the map alone "
-                   "[1000; all with --output]")
-      ->check([](const std::string& text) {
-        const bool is_count = !text.empty() && text.size() < 10 && text.find_first_not_of("0123456789") == text.npos &&
-                              text.find_first_not_of('0') != text.npos;
-        return is_count || text == kAll ? std::string() : text + " is neither a number of poses, 1 or more, nor all";
-      })
-      ->type_name("N|all");
+  AddRememberOption(*command, options->remember,
+                    "Dropped poses that can still be asked for and linked to: so many of the newest, and those on the "
+                    "chains of others; loops to older ones are left out, and memory grows with the map alone "
+                    "[1000; all with --output]");
   command->add_flag("--covariances", options->run.covariances, "Every answer to a pose has its covariance too");
   AddConventionOptions(*command, options->run.convention);
   command->add_flag("--strict", options->run.strict, "Stop at the first bad line");

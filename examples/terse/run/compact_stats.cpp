@@ -39,22 +39,22 @@ std::string Describe(const std::optional<ComposedCounts>& counts) {
          " composed of links, " + of(counts->fused, "edge is", "edges are") + " fused of several\n";
 }
 
-std::optional<RetiredCounts> CountRetired(Strategy strategy, const std::vector<Decision>& decisions,
-                                          const std::vector<RetiredPose>& at_end) {
-  RetiredCounts counts;
-  const auto add = [&](const std::vector<RetiredPose>& retired) {
-    counts.poses += static_cast<long>(retired.size());
-    for (const RetiredPose& pose : retired) counts.loss += pose.loss;
-  };
-  for (const Decision& decision : decisions) add(decision.retired);
-  add(at_end);
+void RetiredCounts::Add(const std::vector<RetiredPose>& retired) {
+  poses += static_cast<long>(retired.size());
+  for (const RetiredPose& pose : retired) loss += pose.loss;
+}
+
+std::optional<RetiredCounts> ToTell(const RetiredCounts& counts, Strategy strategy) {
   const bool may = strategy == Strategy::kBounded || counts.poses > 0;
   return may ? std::optional<RetiredCounts>(counts) : std::nullopt;
 }
 
 template <class Pose>
 std::optional<RetiredCounts> CountRetired(const CompactRun<Pose>& run) {
-  return CountRetired(run.slam.Options().strategy, run.decisions, run.retired);
+  RetiredCounts counts;
+  for (const Decision& decision : run.decisions) counts.Add(decision.retired);
+  counts.Add(run.retired);
+  return ToTell(counts, run.slam.Options().strategy);
 }
 
 template <class Pose>

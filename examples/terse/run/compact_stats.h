@@ -28,10 +28,10 @@ std::string Describe(const std::optional<ComposedCounts>& counts);
 struct RetiredCounts {
   long poses = 0;
   double loss = 0;  // nats, of all together
+  void Add(const std::vector<RetiredPose>& retired);
 };
-// `at_end`: behind the last decision.
-std::optional<RetiredCounts> CountRetired(Strategy strategy, const std::vector<Decision>& decisions,
-                                          const std::vector<RetiredPose>& at_end = {});
+// Nothing where no pose could.
+std::optional<RetiredCounts> ToTell(const RetiredCounts& counts, Strategy strategy);
 template <class Pose>
 std::optional<RetiredCounts> CountRetired(const CompactRun<Pose>& run);
 // Besides, at the end of a run, those that lose no more than this.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <iostream>
 
 #include "run/compact_stats.h"
@@ -77,7 +78,8 @@ Json StatsToJson(const KittiRun& run, const KittiSequence& sequence, const std::
   json["poses_kept"] = slam.Map().Solver().Graph().Poses().size();
   json["links_kept"] = slam.Map().LinksKept();
   AddTo(json, CountComposed(slam.Map()));
-  AddTo(json, CountRetired(slam.Map().Options().strategy, run.decisions));
+  AddTo(json, ToTell(t.retired, slam.Map().Options().strategy));
+  if (slam.Map().PosesForgotten() > 0) json["frames_forgotten"] = slam.Map().PosesForgotten();
   json["keyframes_stored"] = slam.Verifier().Kept();
   json["feature_bytes"] = slam.Verifier().Bytes();
   json["chi2"] = run.result.chi2;
@@ -145,21 +147,30 @@ void LoopsFile::Add(const StereoSlamStep& step) {
   }
 }
 
-KittiErrors ComputeKittiErrors(const KittiRun& run, const KittiSequence& sequence, const std::vector<SE3>& truth) {
+KittiErrors ComputeKittiErrors(const KittiRun& run, const KittiSequence& sequence) {
   EvaluateOptions how;
   how.kitti = true;
-  return {Evaluate(MapTrajectory(run, sequence), truth, how), Evaluate(OdometryTrajectory(run, sequence), truth, how)};
+  return {Evaluate(MapTrajectory(run, sequence), run.truth, how),
+          Evaluate(OdometryTrajectory(run, sequence), run.truth, how)};
 }
 
-void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const std::vector<SE3>& truth,
-                       const std::optional<KittiErrors>& errors, const std::string& folder) {
+void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const std::optional<KittiErrors>& errors,
+                       const std::string& folder) {
   const std::vector<SE3> poses = MapTrajectory(run, sequence);
   RunTrajectories trajectories{Stamped(TrajectoryFormat::kTum, poses, run, sequence), std::nullopt};
-  if (!truth.empty()) trajectories.truth = Stamped(TrajectoryFormat::kTum, truth, run, sequence);
-  WriteRun<SE3>({run.slam.Map(), run.result, run.decisions, run.steps, trajectories}, folder);
-  WriteKitti(Stamped(TrajectoryFormat::kKitti, poses, run, sequence), folder + "/trajectory.kitti.txt");
-  WriteKitti(Stamped(TrajectoryFormat::kKitti, OdometryTrajectory(run, sequence), run, sequence),
-             folder + "/odometry.kitti.txt");
+  if (!run.truth.empty()) trajectories.truth = Stamped(TrajectoryFormat::kTum, run.truth, run, sequence);
+  RunResults<SE3> results{run.slam.Map(), run.result, run.decisions, run.steps, trajectories};
+  results.retired_at_end = run.retired_at_end;
+  WriteRun<SE3>(results, folder);
+  const std::string of_map = folder + "/trajectory.kitti.txt", of_odometry = folder + "/odometry.kitti.txt";
+  if (run.slam.Map().PosesForgotten() == 0) {
+    WriteKitti(Stamped(TrajectoryFormat::kKitti, poses, run, sequence), of_map);
+    WriteKitti(Stamped(TrajectoryFormat::kKitti, OdometryTrajectory(run, sequence), run, sequence), of_odometry);
+  } else {
+    // Those of an earlier run into the same folder are not of this one.
+    std::error_code ignored;
+    for (const std::string& path : {of_map, of_odometry}) std::filesystem::remove(path, ignored);
+  }
   WriteJson(StatsToJson(run, sequence, errors), folder + "/stats.json");
 }
 
@@ -176,7 +187,10 @@ void PrintKittiSummary(const KittiRun& run, const std::optional<KittiErrors>& er
                 100.0 * static_cast<double>(kept) / std::max(1, t.frames), run.slam.Map().LinksKept(), t.candidates,
                 t.compared, t.verified, t.refused);
   std::cout << line << Describe(CountComposed(run.slam.Map()))
-            << Describe(CountRetired(run.slam.Map().Options().strategy, run.decisions));
+            << Describe(ToTell(t.retired, run.slam.Map().Options().strategy));
+  if (const long forgotten = run.slam.Map().PosesForgotten(); forgotten > 0) {
+    std::cout << forgotten << " frames are forgotten (--remember): trajectories and errors are those of the others\n";
+  }
   if (errors) {
     PrintErrors("map", errors->map);
     PrintErrors("odometry", errors->odometry);

@@ -22,16 +22,16 @@ class LoopsFile {
   AtomicFile file_;
 };
 
-// Errors of the map and of the odometry alone, with KITTI's metric.
+// Errors of the map and of the odometry alone, with KITTI's metric, over the frames that the map remembers.
 struct KittiErrors {
   Evaluation map, odometry;
 };
-KittiErrors ComputeKittiErrors(const KittiRun& run, const KittiSequence& sequence, const std::vector<SE3>& truth);
+KittiErrors ComputeKittiErrors(const KittiRun& run, const KittiSequence& sequence);
 
 // What every compact run leaves behind (compact_output.h), with the trajectories of camera 0; trajectory.kitti.txt and
-// odometry.kitti.txt. `truth` may be empty.
-void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const std::vector<SE3>& truth,
-                       const std::optional<KittiErrors>& errors, const std::string& folder);
+// odometry.kitti.txt, unless frames are forgotten: their rows are frames by their place alone.
+void WriteKittiResults(const KittiRun& run, const KittiSequence& sequence, const std::optional<KittiErrors>& errors,
+                       const std::string& folder);
 
 void PrintKittiSummary(const KittiRun& run, const std::optional<KittiErrors>& errors, const std::string& folder);
 // Candidates by information and by appearance, next to each other.

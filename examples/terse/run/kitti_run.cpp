@@ -56,6 +56,7 @@ void Add(const StereoSlamStep& step, KittiTotals& totals) {
   for (const LoopAttempt& attempt : step.attempts) totals.verified += attempt.verification.Verified();
   totals.accepted += step.decision.links_accepted;
   totals.refused += step.decision.links_refused;
+  totals.retired.Add(step.decision.retired);
 }
 
 // As seen from camera 0, if the poses are those of the left camera of another pair.
@@ -74,6 +75,17 @@ TruePoses TrueLeftPoses(const KittiSequence& sequence, const std::vector<int>& f
   return out;
 }
 
+// What is held of frames that the map has forgotten.
+void DropForgotten(KittiRun& run) {
+  const CompactPoseSlam<SE3>& map = run.slam.Map();
+  const auto erase = [&](auto& list, auto&& id_of) {
+    const auto is_forgotten = [&](const auto& item) { return !map.HasSeen(id_of(item)); };
+    list.erase(std::remove_if(list.begin(), list.end(), is_forgotten), list.end());
+  };
+  erase(run.frames, [](int frame) { return PoseId{frame}; });
+  erase(run.decisions, [](const Decision& decision) { return decision.id; });
+}
+
 }  // namespace
 
 KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames, const KittiRunOptions& options) {
@@ -84,11 +96,10 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
     search = MakeSearch(sequence, frames, options);
     vocabulary = SecondsNow() - before;
   }
-  KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}, {}, {}};
+  KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}, {}, {}, {}, {}};
   const TruePoses truth = TrueLeftPoses(sequence, frames, options.truth);
   StepRecorder<SE3> recorder(static_cast<int>(frames.size()), truth.empty() ? nullptr : &truth);
-  run.frames.reserve(frames.size());
-  run.decisions.reserve(frames.size());
+  long forgotten = 0;
   KittiTotals& totals = run.totals;
   totals.vocabulary = 1000 * vocabulary;
   {
@@ -104,6 +115,10 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
       Add(step, totals);
       run.frames.push_back(frame->index);
       run.decisions.push_back(step.decision);
+      if (run.slam.Map().PosesForgotten() != forgotten) {
+        forgotten = run.slam.Map().PosesForgotten();
+        DropForgotten(run);
+      }
       recorder.Add(run.slam.Map(), step.decision, step.times.map / 1000);
       if (!step.odometry.reason.empty()) run.odd.push_back({frame->index, step.odometry.status, step.odometry.reason});
       if (options.after_step) options.after_step(step);
@@ -112,6 +127,11 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
     totals.seconds = SecondsNow() - start;
   }
   run.steps = recorder.Steps();
+  if (!options.truth.empty()) {
+    for (const int frame : run.frames) run.truth.push_back(truth.at(frame) * sequence.T_camera0_left().Inverse());
+  }
+  run.retired_at_end = run.slam.Retire();
+  totals.retired.Add(run.retired_at_end);
   run.result = run.slam.Finish();
   RequireOptimum(run.result);
   return run;

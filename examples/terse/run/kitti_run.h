@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "run/compact_stats.h"
 #include "terse/compact/run_steps.h"
 #include "terse/core/evaluate.h"
 #include "terse/frontend/kitti_sequence.h"
@@ -23,7 +24,8 @@ struct KittiTotals {
   long candidates = 0;                           // pairs of poses that the search gave
   long compared = 0;                             // by descriptors at least
   long verified = 0, accepted = 0, refused = 0;  // refused by the innovation test
-  double seconds = 0;                            // wall time from the first frame to the last
+  RetiredCounts retired;
+  double seconds = 0;  // wall time from the first frame to the last
   double FramesPerSecond() const { return seconds > 0 ? frames / seconds : 0; }
 };
 
@@ -37,10 +39,14 @@ struct OddFrame {
 struct KittiRun {
   StereoSlam slam;
   KittiTotals totals;
-  std::vector<int> frames;  // their indices, in the order they were added
-  std::vector<OddFrame> odd;
-  std::vector<Decision> decisions;  // one per frame
+  // Of the frames that the map remembers, all of them unless CompactOptions::most_dropped is set, in the order they
+  // were added: indices, true poses of camera 0 if known, what was decided.
+  std::vector<int> frames;
+  std::vector<SE3> truth;
+  std::vector<Decision> decisions;
   std::vector<CompactStep> steps;
+  std::vector<OddFrame> odd;
+  std::vector<RetiredPose> retired_at_end;
   BatchResult<SE3> result;  // of the map
 };
 
@@ -49,14 +55,14 @@ struct KittiRunOptions {
   bool by_appearance = false;
   std::string label = "frames";
   bool quiet = false;
-  std::vector<SE3> truth;  // T_world_camera0 of the frames, where they are known
+  std::vector<SE3> truth;  // T_world_camera0 of all frames, where they are known
   std::function<void(const StereoSlamStep&)> after_step;
 };
 
 // Throws FileError for images, NumericalError if the map has no optimum.
 KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames, const KittiRunOptions& options);
 
-// T_world_camera0 of all frames, which is what KITTI's ground truth is about; the first is the identity.
+// T_world_camera0 of KittiRun::frames, which is what KITTI's ground truth is about; the first is the identity.
 std::vector<SE3> MapTrajectory(const KittiRun& run, const KittiSequence& sequence);
 std::vector<SE3> OdometryTrajectory(const KittiRun& run, const KittiSequence& sequence);
 

@@ -112,6 +112,8 @@ class OnlineRun {
     if (journal_ != nullptr) journal_->Sync();
     if (options_.directory.empty()) return;
     if (slam_.PosesSeen() == 0) throw FileError(kSource, 0, "no measurement came: there is nothing to write");
+    // Not in the journal: a run that goes on from there goes on with the poses.
+    RetireAtEnd();
     const BatchResult<Pose> result = slam_.Finish();
     RequireOptimum(result);
     const std::string undetermined = slam_.Solver().DescribeUndetermined();
@@ -122,6 +124,12 @@ class OnlineRun {
   }
 
  private:
+  void RetireAtEnd() {
+    ordered_json retired = ordered_json::array();
+    for (const RetiredPose& pose : slam_.Retire()) retired.push_back(pose.id.value);
+    if (!retired.empty() && !options_.quiet) Print({{"retired_at_end", std::move(retired)}});
+  }
+
   static constexpr char kFlush[] = "FLUSH", kDiscard[] = "DISCARD";
 
   // A snapshot stands for the lines so far, and the journal begins anew. The two last snapshots take turns, so that the

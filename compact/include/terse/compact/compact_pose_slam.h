@@ -91,6 +91,8 @@ class CompactPoseSlam {
   // Whether a pose was seen and is remembered; and whether it was seen and is forgotten (CompactOptions::most_dropped).
   bool HasSeen(PoseId id) const;
   bool HasForgotten(PoseId id) const;
+  // How many are forgotten: whoever holds something of every pose drops it when this number changes.
+  long PosesForgotten() const;
 
   // The kept poses and links.
   const IncrementalSolver<Pose>& Solver() const;

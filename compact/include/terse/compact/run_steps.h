@@ -38,13 +38,17 @@ class StepRecorder {
   // `steps`: that the run will have. `truth`: of every pose, also of those that the map has seen before; or nullptr.
   explicit StepRecorder(int steps, const TruePoses* truth = nullptr);
   void Add(const CompactPoseSlam<Pose>& slam, const Decision& decision, double seconds);
+  // Of the poses that the map remembers.
   const std::vector<CompactStep>& Steps() const { return steps_; }
 
  private:
   std::int64_t HessianNonzeros(const PoseGraph<Pose>& graph);
   std::optional<double> Ate(const CompactPoseSlam<Pose>& slam);
+  void DropForgotten(const CompactPoseSlam<Pose>& slam);
 
   int expected_, stride_;
+  int added_ = 0;
+  long forgotten_ = 0;  // poses, when the steps were last looked through
   const TruePoses* truth_;
   std::vector<SE3> true_;  // in order of arrival, as far as it was asked for
   std::size_t counted_ = 0;

@@ -4,7 +4,8 @@
 // Every frame is offered to the map with the odometry since the frame before it, also where tracking was lost (then by
 // constant velocity, with an inflated covariance). The map searches by distance and information (compact_pose_slam.h);
 // what it wants to link goes to the verifier, best first. The features of a pose are stored when it is kept, and
-// forgotten when it retires.
+// forgotten when it retires. For a run without an end, CompactOptions::most_dropped bounds what is remembered of the
+// frames: memory then grows with the map alone.
 //
 // What is registered: with kBounded, kFpfl and kApfl, the candidates in range that promise more than min_loop_gain,
 // best first, until `most_verifications` of them have got beyond comparing descriptors. With kApal, all poses are kept,
@@ -24,9 +25,10 @@
 
 namespace terse {
 
-// Strategy::kBounded with thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in
-// height, 8 m along the view, 40 degrees; link covariance as verified loops have it.
-CompactOptions<SE3> StereoCompactOptions();
+// Thresholds for a vehicle's stereo camera at ten frames a second: range 3 m aside and in height, 8 m along the view,
+// 40 degrees; link covariance as verified loops have it. With kBounded a link costs no pose, but starts the chain anew
+// with what odometry did not measure: there it has to tell half as much.
+CompactOptions<SE3> StereoCompactOptions(Strategy strategy = Strategy::kBounded);
 
 struct StereoSlamOptions {
   CompactOptions<SE3> compact = StereoCompactOptions();
@@ -80,18 +82,22 @@ class StereoSlam {
   // has passed it, and the next frame's link spans both.
   StereoSlamStep AddFrame(const StereoFrame& frame);
 
+  // Poses retire as at the end of a run (CompactPoseSlam::Retire), and their features go.
+  std::vector<RetiredPose> Retire();
   // Iterates the map to its optimum.
   BatchResult<SE3> Finish() { return map_.Finish(); }
   const StereoSlamOptions& Options() const { return options_; }
   const CompactPoseSlam<SE3>& Map() const { return map_; }
   const LoopVerifier& Verifier() const { return verifier_; }
-  // The odometry alone, all frames: T_first_frame.
-  const std::vector<SE3>& OdometryTrajectory() const { return odometry_trajectory_; }
+  // The odometry alone: T_first_frame of the frames that the map remembers, in order of arrival.
+  std::vector<SE3> OdometryTrajectory() const;
 
  private:
   CompactInput<SE3> MakeInput(const StereoFrame& frame, const OdometryStep& step) const;
   std::optional<RelativePoseFactor<SE3>> Register(PoseId candidate, PoseId current, StereoSlamStep& step);
   void StoreFeatures(PoseId id);
+  void DropFeatures(const std::vector<RetiredPose>& retired);
+  void NoteOdometry(PoseId id, const std::optional<RelativePoseFactor<SE3>>& measured);
 
   StereoSlamOptions options_;
   StereoOdometry odometry_;
@@ -101,7 +107,12 @@ class StereoSlam {
   std::optional<PoseId> previous_;
   std::optional<UncertainPose<SE3>> pending_;  // what odometry measured from it to frames that the map refused
   std::vector<PoseId> stored_;                 // in the order of arrival
-  std::vector<SE3> odometry_trajectory_;
+  struct OdometryPose {
+    PoseId id;
+    SE3 T_first_frame;
+  };
+  std::vector<OdometryPose> odometry_poses_;  // of the frames that the map remembers
+  long forgotten_ = 0;                        // poses of the map, when these were last looked through
 };
 
 }  // namespace terse
