@@ -141,22 +141,20 @@ bool RankUpdate<B>::Plan(const UpdateContext<B>& update, const std::vector<int>&
 }
 
 template <int B>
-bool RankUpdate<B>::IsCheaper(const FrontTree<B>& tree, const Path& path) {
-  double update = 0, excess = 0, refactor = 0;
+bool RankUpdate<B>::IsCheaper(const FrontTree<B>& tree, Path& path) const {
+  double update = 0, refactor = 0;
   std::vector<int> columns(path.fronts.size(), 0);
   for (const auto& start : path.starts) columns[At(start.first)] += B;
   for (size_t k = 0; k < path.fronts.size(); ++k) {
     const Front<B>& front = tree[path.fronts[k]];
     const double rows = front.Rows(), p = front.Columns(), s = rows - p;
     update += kRankFlop * columns[k] * (4 * Entries(rows, p) + s * s) + kFront;
-    excess += kRankFlop * 4 * columns[k] * (Entries(rows, p) - Entries(front.ordered_rows, front.ordered_columns));
+    path.excess += kRankFlop * 4 * columns[k] * (Entries(rows, p) - Entries(front.ordered_rows, front.ordered_columns));
     refactor += front.RefactorFlops() + kAssembledEntry * rows * rows + kFront +
                 kVariable * static_cast<double>(front.pivots.size());
     if (front.parent >= 0) columns[At(position_[At(front.parent)])] += columns[k];
   }
-  if (update + debt_ > refactor) return false;
-  debt_ += excess;
-  return true;
+  return update + debt_ <= refactor;
 }
 
 // The columns from `first` on become the factor of L L' + W W'. Returns the variable at which that fails, or -1.
@@ -326,18 +324,21 @@ int RankUpdate<B>::Update(const Path& path, UpdateContext<B>& update) {
   for (const auto& start : path.starts) changed[At(start.first)].slots.push_back(start.second);
   for (size_t k = 0; k < changed.size(); ++k) {
     const int id = path.fronts[k];
-    int waiting = 0;
-    for (const Correction& c : tree[id].corrections) waiting += c.columns;
-    if (waiting > kMostColumns) update.numbers.WorkInCorrections(tree[id]);
     const int failed = UpdateFront(tree[id], changed[k], below[k], update);
     if (failed >= 0) return failed;
     if (tree[id].parent >= 0) below[At(position_[At(tree[id].parent)])].push_back(&changed[k]);
     tree.MakeRoom(id, changed[k]);
   }
+  for (const int id : path.fronts) {
+    int waiting = 0;
+    for (const Correction& c : tree[id].corrections) waiting += c.columns;
+    if (waiting > kMostColumns) update.numbers.WorkInCorrections(tree[id]);
+  }
   for (size_t k = 0; k < changed.size(); ++k) {
     tree.Exchange(path.fronts[k], std::move(changed[k]), update.version, update.numbers.Pool());
   }
   tree.SetFrontOf(update.undo.variables, variables, path.fronts.back());
+  debt_ += path.excess;
   update.report.fronts_updated = static_cast<int>(changed.size());
   update.report.path = CholeskyPath::kRankUpdate;
   return -1;

@@ -26,13 +26,13 @@ class RankUpdate {
   struct Path {
     std::vector<int> fronts;
     std::vector<std::pair<int, int>> starts;
+    double excess = 0;  // flops that it takes more because nothing is ordered
   };
   // Whether a rank-k update can take the changes in.
   bool Plan(const UpdateContext<B>& update, const std::vector<int>& affected, Path& path);
-  // Whether that is cheaper than to order and factor the path again; counts what it will have cost more if so. Without
-  // ordering the path fills up. What that has cost so far counts against the next update, so that it never costs more
-  // than an ordering would have.
-  bool IsCheaper(const FrontTree<B>& tree, const Path& path);
+  // Whether that is cheaper than to order and factor the path again. Without ordering the path fills up. What that has
+  // cost so far counts against the next update, so that it never costs more than an ordering would have.
+  bool IsCheaper(const FrontTree<B>& tree, Path& path) const;
   // Returns the variable at which the matrix turns out not to be positive definite, or -1. Until then nothing changes.
   int Update(const Path& path, UpdateContext<B>& update);
 
