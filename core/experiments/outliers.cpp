@@ -33,6 +33,7 @@ PoseId OtherEnd(const RelativePoseFactor<Pose>& edge, PoseId id) {
 template <class Pose>
 std::vector<PoseId> LinkedTo(PoseId id, const std::vector<RelativePoseFactor<Pose>>& edges) {
   std::vector<PoseId> linked;
+  linked.reserve(edges.size());
   for (const auto& edge : edges) linked.push_back(OtherEnd(edge, id));
   std::sort(linked.begin(), linked.end());
   linked.erase(std::unique(linked.begin(), linked.end()), linked.end());

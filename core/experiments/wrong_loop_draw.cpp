@@ -118,7 +118,7 @@ std::optional<RelativePoseFactor<Pose>> WrongLoopDraw<Pose>::DrawAnew(const Newc
                              : n - kLocalLeast - Below(random_, std::min(n, kLocalMost) - kLocalLeast + 1);
     const Edge& like = sample_[Below(random_, sample_.size())];
     if (!MayJoin(pose, other)) continue;
-    const auto wrong = Join(pose, other, like, like.T_from_to);
+    auto wrong = Join(pose, other, like, like.T_from_to);
     if (!wrong) continue;
     if (mistake != nullptr) {
       const bool forward = wrong->to == pose.id;
