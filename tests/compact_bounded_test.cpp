@@ -12,6 +12,7 @@
 #include "terse/core/evaluate.h"
 #include "testing_bounded.h"
 #include "testing_files.h"
+#include "testing_scene.h"
 #include "testing_state.h"
 
 namespace terse {
@@ -384,15 +385,7 @@ TYPED_TEST(CompactBoundedTest, WhatIsRegisteredTellsTheMapOfTheOdometryBetween) 
 // Where there is a loop at every pose, each chain that starts anew on one would lose a little, and all of them together
 // the map: 0.53 m here.
 TEST(CompactBoundedLossTest, ALoopAtEveryPoseDoesNotTakeTheMapApart) {
-  GenerateOptions generate;
-  generate.scene = Scene::kSphere;
-  generate.poses = 1000;
-  generate.seed = 4;
-  PoseGraph<SE3> graph;
-  GenerateSink<SE3> sink;
-  sink.pose = [&](PoseId id, const SE3& T) { graph.AddPose(id, T); };
-  sink.edge = [&](const RelativePoseFactor<SE3>& edge) { graph.AddFactor(edge); };
-  Generate(generate, sink);
+  const PoseGraph<SE3> graph = testing::MakeScene<SE3>(Scene::kSphere, 1000, 4).graph;
   const GraphReplay<SE3> replay(graph);
   auto options = testing::OptionsFor(replay, Strategy::kBounded);
   options.thresholds.range << 5, 5, 5, 1;

@@ -89,7 +89,7 @@ TYPED_TEST(CompactMapTest, ContinuesAsTheRunItCameFrom) {
       auto restored = CompactPoseSlam<Pose>::Restore(running.Export(), course.options);
       EXPECT_EQ(restored.PosesSeen(), 30);
       EXPECT_EQ(restored.LinksKept(), running.LinksKept());
-      ExpectSamePoses(running, restored, 1e-7);
+      ExpectSamePoses(running, restored, 1e-9);
       for (std::size_t k = 30; k < 60; ++k) {
         SCOPED_TRACE("pose " + std::to_string(k));
         // What is deferred, and when it is made up for, depends on how long a run has been.

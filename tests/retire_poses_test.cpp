@@ -115,7 +115,7 @@ TYPED_TEST(RetirePosesTest, LosesNothingBetweenTwoNeighbours) {
     ASSERT_EQ(FindDefect(out.map), "");
     const Compared<Pose> compared(map, out.map);
     EXPECT_LT(testing::RelativeError(compared.now, compared.exact), 1e-8);
-    EXPECT_LT(compared.step, 1e-7);
+    EXPECT_LT(compared.step, 1e-8);
     auto restored = CompactPoseSlam<Pose>::Restore(out.map, options);
     restored.Finish();
     for (const auto& node : restored.Solver().Graph().Poses()) {

@@ -230,7 +230,9 @@ class Run {
     const bool small = predicted <= tolerance;
     Log(options_.log, LogLevel::kDebug, "batch: iteration ", result_.iterations, ": cost ", cost_, " to ", trial.cost,
         ", predicted ", cost_ - predicted, ", damping ", lambda);
-    if (std::isfinite(trial.cost) && decrease >= 0) {
+    // Near the optimum the cost is rounding, and the step is better than it.
+    const bool is_last = small && lambda == 0 && decrease >= -tolerance;
+    if (std::isfinite(trial.cost) && (decrease >= 0 || is_last)) {
       Accept(std::move(trial));
       damping_control_.Accept(predicted > 0 ? decrease / predicted : 1);
       if (best_ && cost_ < best_->cost) {

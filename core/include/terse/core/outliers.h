@@ -23,8 +23,9 @@ constexpr double kWrongChi2PerDof = 25;
 
 // kRandom: between two poses drawn evenly, with a true loop's measurement. kLocal: the same between poses 20 to 50
 // apart in order of arrival. kGrouped: 3 to 10 of consecutive poses that agree with each other, each leading to a pose
-// up to two from where the last one led; the first is as kRandom. kAliased: a place is taken for another one, up to 20
-// times from wherever a true loop could be measured there; the first time is as kRandom.
+// up to two from where the last one led, or fewer where the two paths part; the first is as kRandom. kAliased: a place
+// is taken for another one, up to 20 times from wherever a true loop could be measured there; the first time is as
+// kRandom.
 enum class OutlierKind { kRandom, kLocal, kGrouped, kAliased };
 
 // A relative factor is a loop unless it joins poses that arrive one right after the other.
