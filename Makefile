@@ -19,7 +19,7 @@ test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_p
   python3-pytest python3-venv mypy man-db bash-completion pkg-config
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs report-page \
+.PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs protocol-docs report-page \
   readme-picture install package asan fuzz tsan soak format format-check tidy deps clean help
 .DEFAULT_GOAL := all
 
@@ -70,6 +70,13 @@ consistency-docs: build-bench/build.ninja ## simulate runs and put plot and tabl
 outliers-docs: build-bench/build.ninja ## run the experiment with wrong loops and put its tables into docs/outliers.md
 	@cmake --build build-bench -j $(JOBS) --target outliers
 	@build-bench/bin/outliers --update docs/outliers.md $(BENCH_ARGS)
+
+# Many hours; runs that are in build-bench/protocol.jsonl are not made again.
+protocol_graphs = intel,manhattan,manhattanOlson3500_isam,city10000,sphere2500,torus3D,parking-garage,kitti00_all_loops
+protocol-docs: build-bench/build.ninja ## run the protocol with wrong loops into docs/outliers.md; GRAPHS=folder of the public graphs
+	@cmake --build build-bench -j $(JOBS) --target bin/terse
+	@build-bench/bin/terse table outliers $(GRAPHS) --graphs $(protocol_graphs) --threads 1 \
+	  --runs build-bench/protocol.jsonl --update docs/outliers.md $(BENCH_ARGS)
 
 compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM into docs/compact.md; GRAPHS=folder of the public graphs
 	@cmake --build build-bench -j $(JOBS) --target bin/terse

@@ -49,6 +49,19 @@ CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>&
   return run;
 }
 
+RobustKernel DefaultKernel(Strategy strategy) {
+  return strategy == Strategy::kBounded ? RobustKernel::kGnc : RobustKernel::kNone;
+}
+
+template <class Pose>
+PoseGraph<Pose> MapGraph(const CompactPoseSlam<Pose>& slam, const std::vector<Pose>& T_world_body) {
+  PoseGraph<Pose> graph = slam.Solver().Graph().WithPoses(T_world_body);
+  for (const auto& node : slam.Solver().Graph().Factors()) {
+    if (slam.Solver().WeightOf(node.id) == 0) graph.RemoveFactor(node.id);
+  }
+  return graph;
+}
+
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options,
                               const AfterStep<Pose>& after_step) {
@@ -63,6 +76,7 @@ template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, const AfterStep<Pose>& after_step) {
   CompactOptions<Pose> options;
   options.strategy = strategy;
+  options.solver.robust.kernel = DefaultKernel(strategy);
   const InformationScale scale = CalibrateInformation(graph).scale;
   const PoseGraph<Pose> scaled = scale.IsOne() ? graph : ScaleInformation(graph, scale);
   if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
@@ -88,6 +102,7 @@ SampledThresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOp
   template struct CompactRun<Pose>;                                                                                    \
   template std::vector<Decision> AddPoses<Pose>(CompactPoseSlam<Pose>&, const GraphReplay<Pose>&, const StepWatch&);   \
   template CompactRun<Pose> RunCompact<Pose>(CompactPoseSlam<Pose>, const GraphReplay<Pose>&, const AfterStep<Pose>&); \
+  template PoseGraph<Pose> MapGraph<Pose>(const CompactPoseSlam<Pose>&, const std::vector<Pose>&);                     \
   template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&,                    \
                                                const AfterStep<Pose>&);                                                \
   template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, Strategy, const AfterStep<Pose>&);              \

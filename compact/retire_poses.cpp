@@ -19,7 +19,7 @@ using internal::At;
 using std::size_t;
 
 template <class Pose>
-PoseGraph<Pose> GraphOf(const CompactMap<Pose>& map) {
+PoseGraph<Pose> GraphOf(const CompactMap<Pose>& map, const std::vector<FactorId>& left_out) {
   PoseGraph<Pose> graph;
   for (const auto& pose : map.poses) {
     if (pose.kept) graph.AddPose(pose.id, pose.T_world_body);
@@ -28,7 +28,9 @@ PoseGraph<Pose> GraphOf(const CompactMap<Pose>& map) {
     graph.SetPose(fixed.pose, fixed.T_world_body);
     graph.SetFixed(fixed.pose, true);
   }
-  for (const auto& edge : map.edges) graph.AddFactor(edge.measured);
+  for (const auto& edge : map.edges) {
+    if (!std::binary_search(left_out.begin(), left_out.end(), edge.factor)) graph.AddFactor(edge.measured);
+  }
   for (const auto& prior : map.priors) graph.AddFactor(prior.measured);
   return graph;
 }
@@ -51,7 +53,7 @@ class Retirement {
       : options_(options),
         retire_(retire),
         map_(map),
-        graph_(GraphOf(map)),
+        graph_(GraphOf(map, retire.left_out)),
         marginals_(graph_, ValuesOf(graph_)),
         chains_(map_.poses, options.composition) {
     next_factor_ = retire.first_factor.value;
@@ -62,6 +64,10 @@ class Retirement {
       stays_.insert(PosesOf(prior.measured).first);
     }
     for (const auto& fixed : map.fixed) stays_.insert(fixed.pose);
+    for (const FactorId factor : retire.left_out) {
+      stays_.insert(edges_.at(factor).measured.from);
+      stays_.insert(edges_.at(factor).measured.to);
+    }
     stays_.insert(map.poses.front().id);
     stays_.insert(map.poses.back().base);
   }

@@ -315,7 +315,8 @@ class Estimator {
     BatchOptions solve;
     solve.max_iterations = is_first ? (is_suspicious_ ? 200 : 50) : 10;
     solve.relative_tolerance = 1e-4;
-    if (is_suspicious_) {  // the kernel decides anew
+    if (is_suspicious_) {  // the kernel decides anew, by graduation: a replay trusts the information
+      solve.robust_factors = LoopFactors(weighted);
       solve.robust.kernel = RobustKernel::kGnc;
       solve.robust.width = std::sqrt(ChiSquareQuantile(kTrueLoop, Pose::kDof));
     }

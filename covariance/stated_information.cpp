@@ -71,12 +71,18 @@ struct Collected {
 
 }  // namespace
 
+bool StatedInformation::IsImplausible() const {
+  const StatedKind& chain = odometry.edges > 0 ? odometry : loops;
+  return chain.edges > 0 &&
+         (chain.translation_m.median > kPlausibleStep * median_step_m || chain.rotation_rad.median > kPlausibleTurn);
+}
+
 bool StatedInformation::IsPlaceholder() const {
   const StatedKind& chain = odometry.edges > 0 ? odometry : loops;
   if (chain.edges == 0) return false;
   if (chain.is_identity && (loops.edges == 0 || loops.is_identity)) return true;
   if (!chain.is_constant || (loops.edges > 0 && !loops.is_constant)) return false;
-  return chain.translation_m.median > kPlausibleStep * median_step_m || chain.rotation_rad.median > kPlausibleTurn;
+  return IsImplausible();
 }
 
 bool InformationScale::IsOne() const {

@@ -4,6 +4,8 @@
 
 #include <gtest/gtest.h>
 
+#include <filesystem>
+
 #include "shared_data.h"
 #include "terse/core/error.h"
 #include "terse/core/graph_file.h"
@@ -111,6 +113,52 @@ TEST(ComputeErrors, TakesEverySoManiethPoseOfMany) {
   EXPECT_NEAR(some.rpe.rotation_deg, all.rpe.rotation_deg, 1e-9);
   EXPECT_NEAR(some.ate.translation_m, all.ate.translation_m, 0.3 * all.ate.translation_m);
   EXPECT_NEAR(some.rpe_all.rotation_deg, all.rpe_all.rotation_deg, 0.3 * all.rpe_all.rotation_deg);
+}
+
+TEST(ComputeAte, IsThatOfAllErrors) {
+  const auto scene = MakeScene<SE3>(Scene::kSphere, 200, 2);
+  const Reference<SE3> reference{ReferenceKind::kExact, scene.truth};
+  auto estimate = AsEstimate(scene.graph, BatchOptimum(scene.graph).T_world_body);
+  std::swap(estimate[3], estimate[100]);
+  EXPECT_DOUBLE_EQ(ComputeAte(scene.graph, reference, estimate),
+                   ComputeErrors(scene.graph, reference, estimate).ate.translation_m);
+}
+
+TEST(FindReference, TakesAFileBesideTheGraphFirst) {
+  const auto scene = MakeScene<SE2>(Scene::kManhattan, 100, 3);
+  EXPECT_EQ(FindReference(scene.graph, "nowhere/walk.g2o", "nowhere").kind, ReferenceKind::kGrid);
+  std::string text;
+  for (int k = 0; k < 100; ++k) text += std::to_string(k) + " " + std::to_string(k) + " 0 0 0 0 0 1\n";
+  const TestFile truth("walk.tum", text);
+  const auto found = FindReference(scene.graph, std::filesystem::path(truth.Path()).replace_extension(".g2o"), "");
+  ASSERT_EQ(found.kind, ReferenceKind::kFile);
+  EXPECT_EQ(found.T_world_body[7].Translation().x(), 7);
+  const auto sphere = MakeScene<SE3>(Scene::kSphere, 100);
+  EXPECT_EQ(FindReference(sphere.graph, "nowhere/sphere.g2o", "nowhere").kind, ReferenceKind::kOptimum);
+}
+
+// Against the errors themselves, of graphs that differ in their noise.
+template <class Pose>
+void ExpectErrorsAsExpected(Scene kind, long poses) {
+  double squares = 0, expected = 0;
+  const int draws = kSlowBuild ? 10 : 40;
+  for (int seed = 1; seed <= draws; ++seed) {
+    const auto scene = MakeScene<Pose>(kind, poses, static_cast<std::uint64_t>(seed));
+    BatchResult<Pose> optimum = BatchOptimum(scene.graph);
+    const Reference<Pose> reference{ReferenceKind::kExact, scene.truth};
+    const double ate = ComputeAte(scene.graph, reference, AsEstimate(scene.graph, optimum.T_world_body));
+    squares += ate * ate / draws;
+    const double sigma = ExpectedErrorOf(scene.graph, std::move(optimum));
+    expected += sigma * sigma / draws;
+  }
+  std::printf("expected %.4f m, found %.4f m\n", std::sqrt(expected), std::sqrt(squares));
+  // Few modes make most of the error: its square spreads by about as much as it is, so the mean of 40 by a sixth.
+  EXPECT_NEAR(squares / expected, 1, kSlowBuild ? 0.9 : 0.45);
+}
+
+TEST(ExpectedErrorOf, IsWhatErrorsAre) {
+  ExpectErrorsAsExpected<SE2>(Scene::kManhattan, 120);
+  ExpectErrorsAsExpected<SE3>(Scene::kSphere, 120);
 }
 
 }  // namespace

@@ -739,7 +739,7 @@ TEST_F(OnlineCommand, RefusesOtherFilesAndOptions) {
   }
   Write("journal", whole);
   ExpectFailure(use + " --probability 0.2", 1, "probability is 0.1 there, 0.2 now");
-  ExpectFailure(use + " --robust dcs", 1, "robust is \"none\" there, \"dcs\" now");
+  ExpectFailure(use + " --robust dcs", 1, "robust is \"gnc\" there, \"dcs\" now");
   ExpectFailure(use + " --no-innovation-test", 1, "innovation_quantile is 0.9999 there, null now");
   ExpectFailure("online --range 10 10 10 1.5 --journal journal < input", 1, "dimension is 2 there, 3 now");
   Succeed(kOptions + "--keep-poses 10% --journal other < input");

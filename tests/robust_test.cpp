@@ -11,6 +11,7 @@
 #include <set>
 
 #include "shared_data.h"
+#include "terse/core/generate.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/replay.h"
@@ -261,7 +262,7 @@ TYPED_TEST(RobustTest, OtherCarryJudgesLoopsToo) {
   options.robust.kernel = RobustKernel::kGnc;
   IncrementalSolver<TypeParam> solver(options);
   Feed(scene.graph, solver);
-  EXPECT_LT(LargestDifference(solver.Estimates(), scene.optimum.T_world_body), 0.1);
+  EXPECT_LT(LargestDifference(solver.Estimates(), scene.optimum.T_world_body), 0.3) << "true loops stay out a while";
   solver.Finish();
   EXPECT_LT(LargestDifference(solver.Estimates(), scene.optimum.T_world_body), 1e-5) << "the unit anchor pulls nothing";
 }
@@ -389,6 +390,52 @@ TYPED_TEST(RobustTest, MisuseIsRefused) {
   BatchOptions batch = With(RobustKernel::kGnc);
   batch.robust.width = std::nan("");
   EXPECT_THROW(SolveBatch(scene.graph, scene.optimum.T_world_body, batch), std::invalid_argument);
+}
+
+// Half of all loops, alone and in groups that agree with each other: no wrong one is believed, hardly a true one lost.
+template <class Pose>
+void ExpectToldApart(terse::Scene scene, int poses, std::uint64_t seed, OutlierKind kind) {
+  SCOPED_TRACE(::testing::Message() << Pose::kDim << "D, seed " << seed << ", kind " << static_cast<int>(kind));
+  GenerateOptions options;
+  options.scene = scene;
+  options.poses = poses;
+  options.seed = seed;
+  options.wrong_loop_percent = 100;
+  options.wrong_loop_kind = kind;
+  PoseGraph<Pose> graph;
+  std::set<std::pair<std::int64_t, std::int64_t>> wrong;
+  GenerateSink<Pose> sink;
+  sink.pose = [&](PoseId id, const Pose&) { graph.AddPose(id); };
+  sink.edge = [&](const RelativePoseFactor<Pose>& edge) { graph.AddFactor(edge); };
+  sink.wrong_loop = [&](const RelativePoseFactor<Pose>& edge) {
+    graph.AddFactor(edge);
+    wrong.emplace(edge.from.value, edge.to.value);
+  };
+  Generate(options, sink);
+  const BatchResult<Pose> batch = SolveBatch(graph, With(RobustKernel::kGnc));
+  ASSERT_TRUE(batch.Converged()) << batch.message;
+  const auto loops = LoopFactors(graph);
+  std::size_t k = 0, wrong_in = 0, true_out = 0;
+  for (const auto& node : graph.Factors()) {
+    const double weight = batch.weights[k++];
+    if (!std::binary_search(loops.begin(), loops.end(), node.id)) continue;
+    const FactorPoses ends = PosesOf(node.factor);
+    const bool is_wrong = wrong.count({ends.first.value, ends.second.value}) > 0;
+    wrong_in += is_wrong && weight > 0;
+    true_out += !is_wrong && weight == 0;
+  }
+  ASSERT_GT(wrong.size(), 50U);
+  EXPECT_EQ(wrong_in, 0U);
+  EXPECT_LT(static_cast<double>(true_out), 0.03 * static_cast<double>(wrong.size())) << "one in a hundred is beyond";
+}
+
+TEST(Robust, HalfOfAllLoopsWrong) {
+  for (const std::uint64_t seed : testing::Seeds(21, kSlowBuild ? 21 : 23)) {
+    for (const OutlierKind kind : {OutlierKind::kRandom, OutlierKind::kGrouped}) {
+      ExpectToldApart<SE2>(terse::Scene::kManhattan, 600, seed, kind);
+      ExpectToldApart<SE3>(terse::Scene::kSphere, 300, seed, kind);
+    }
+  }
 }
 
 // 30 % wrong loops on a public graph: the clean optimum stays where it is, online too.

@@ -1,9 +1,11 @@
 // `terse table igg-spo`: the published figures where the public data is present, and its errors. Builds with sanitizers
-// take the slow variants over the first poses only. `terse table compact`: on generated graphs.
+// take the slow variants over the first poses only. `terse table compact` and
+// `terse table outliers`: on generated graphs.
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <fstream>
 
 #include "shared_data.h"
@@ -219,6 +221,129 @@ TEST_F(CompactTable, TextAndDocument) {
   EXPECT_GT(std::stod(laps[1][4]), std::stod(laps[0][4])) << "time adds up";
   Write("plain.md", "nothing to fill\n");
   ExpectFailure("table compact . --graphs ellipse --update plain.md --quiet", 1, "plain.md");
+}
+
+class OutliersTable : public TableCommand {
+ protected:
+  void MakeWalk() const {
+    std::filesystem::create_directories(folder_ / "few" / "deep");
+    Succeed("generate manhattan --poses 60 --seed 3 --output few/walk.g2o");
+  }
+  // Times aside, which differ from run to run.
+  static nlohmann::json WithoutTimes(nlohmann::json json) {
+    for (auto& graph : json["graphs"]) {
+      for (const char* list : {"rows", "runs"}) {
+        for (auto& entry : graph[list]) entry.erase("seconds"), entry.erase("step_ms");
+      }
+    }
+    return json;
+  }
+};
+
+TEST_F(OutliersTable, SaysWhatIsMissing) {
+  MakeWalk();
+  ExpectFailure("table outliers", 2, "DIR");
+  ExpectFailure("table outliers nowhere", 1, "nowhere: ");
+  ExpectFailure("table outliers few/deep", 1, "few/deep: no graph in it");
+  ExpectFailure("table outliers few --graphs wlak", 2, "no graph wlak in few; did you mean walk?");
+  for (const char* percents : {"100", "-1", "10,x", "nan"})
+    ExpectFailure(std::string("table outliers few --percents ") + percents, 2, "--percents");
+  ExpectFailure("table outliers few --methods batch-gncc", 2, "did you mean batch-gnc?");
+  ExpectFailure("table outliers few --kinds grouepd", 2, "did you mean grouped?");
+  ExpectFailure("table outliers few --seeds 0", 2, "--seeds");
+  ExpectFailure("table outliers few --threads 0", 2, "--threads");
+  ExpectFailure("table outliers few --update few/walk.g2o", 2, "few/walk.g2o");
+  Write("plain.md", "nothing to fill\n");
+  ExpectFailure("table outliers few --update plain.md", 1, "plain.md");
+  Write("runs.jsonl", "{}\n");
+  ExpectFailure("table outliers few --runs runs.jsonl", 1, "runs.jsonl:1");
+  std::filesystem::remove(folder_ / "few/walk.g2o");
+  Write("few/broken.g2o", "VERTEX_SE2 0 0 0\n");
+  ExpectFailure("table outliers few --quiet", 1, "broken.g2o:1");
+}
+
+TEST_F(OutliersTable, HoldsEveryRunAndGoesOnAfterFailures) {
+  MakeWalk();
+  Write("few/a_line.g2o", "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\n");
+  const std::string arguments =
+      "table outliers few --percents 0,50,20,20 --kinds grouped,random --seeds 2 --methods "
+      "compact,batch-none,batch-gnc "
+      "--quiet --json ";
+  const auto json = Json(arguments + "--threads 1");
+  EXPECT_EQ(json["percents"], nlohmann::json({0, 20, 50}));
+  EXPECT_EQ(json["kinds"], nlohmann::json({"random", "grouped"}));
+  EXPECT_EQ(json["methods"], nlohmann::json({"batch-none", "batch-gnc", "compact"}));
+  ASSERT_EQ(json["graphs"].size(), 2u);
+  EXPECT_EQ(json["graphs"][0]["graph"], "a_line");
+  EXPECT_EQ(json["graphs"][0]["failure"], "it has no loops");
+  EXPECT_TRUE(json["graphs"][0]["runs"].empty());
+  const auto& walk = json["graphs"][1];
+  EXPECT_TRUE(walk["failure"].is_null());
+  EXPECT_EQ(walk["reference"], "grid");
+  EXPECT_EQ(walk["reference_error_m"], 0);
+  EXPECT_TRUE(walk["sigma_scale"].is_null());
+  const int loops = walk["loops"];
+  ASSERT_EQ(walk["runs"].size(), 3u + 2 * 3 * 2 * 2);
+  ASSERT_EQ(walk["rows"].size(), 3u + 2 * 3 * 2);
+  for (const auto& run : walk["runs"]) {
+    SCOPED_TRACE(run.dump());
+    const double share = run["percent"].get<double>() / 100, wrong = run["wrong_loops"];
+    EXPECT_EQ(run["true_loops"], loops);
+    EXPECT_NEAR(wrong, share / (1 - share) * loops, 1) << "a share of all loops";
+    EXPECT_EQ(run["step_ms"].is_null(), run["method"] != "compact");
+    if (run["method"] != "batch-none") continue;
+    EXPECT_EQ(run["recall"], 1.0);
+    EXPECT_NEAR(run["precision"].get<double>(), loops / (loops + wrong), 1e-12);
+    EXPECT_EQ(run["success"].get<bool>(), run["kind"].is_null());
+  }
+  ASSERT_EQ(json["summary"].size(), 6u);
+  EXPECT_EQ(json["summary"][0]["up_to_50_percent"]["runs"], 4);
+  EXPECT_EQ(json["summary"][0]["at_90_percent"]["runs"], 0);
+  EXPECT_EQ(json["summary"][0]["ratios"].size(), 2u);
+  const auto others = Json(arguments + "--threads 3");
+  EXPECT_EQ(WithoutTimes(others), WithoutTimes(json)) << "whatever the threads";
+  EXPECT_TRUE(others["graphs"][1]["runs"][2]["step_ms"].is_null()) << "others ran at the same time";
+}
+
+TEST_F(OutliersTable, GoesOnWithTheRunsOfAFile) {
+  MakeWalk();
+  const std::string arguments = "table outliers few --percents 30 --kinds random --methods batch-gnc --quiet --json ";
+  Succeed(arguments + "--seeds 1 --runs runs.jsonl");
+  std::string first = Read("runs.jsonl");
+  EXPECT_EQ(std::count(first.begin(), first.end(), '\n'), 2);
+  // That it is taken from there shows in a time that no run takes.
+  const std::size_t at = first.rfind("\"seconds\":") + 10, end = first.find(',', at);
+  first.replace(at, end - at, "12345.0");
+  Write("runs.jsonl", first);
+  const auto json = Json(arguments + "--seeds 2 --runs runs.jsonl");
+  EXPECT_EQ(json["graphs"][0]["runs"][1]["seconds"], 12345.0);
+  EXPECT_LT(json["graphs"][0]["runs"][2]["seconds"], 12345.0);
+  const std::string all = Read("runs.jsonl");
+  EXPECT_EQ(all.substr(0, first.size()), first);
+  EXPECT_EQ(std::count(all.begin(), all.end(), '\n'), 3);
+  EXPECT_EQ(WithoutTimes(Json(arguments + "--seeds 2")), WithoutTimes(json));
+}
+
+TEST_F(OutliersTable, TextAndDocument) {
+  MakeWalk();
+  Succeed("generate sphere --poses 60 --output few/deep/ball.g2o --ground-truth few/deep/ball.tum");
+  Write("doc.md", "before\n<!-- protocol -->\nstale text\n<!-- /protocol -->\nafter\n");
+  const auto outcome = Succeed(
+      "table outliers few --percents 90 --kinds random --seeds 1 --methods batch-gnc,incremental-gnc --update doc.md");
+  for (const char* part : {"walk: 2D, 60 poses", "ball: 3D, 60 poses", "reference: file", "| clean ", "| random ",
+                           "Success over all graphs", "90 %"}) {
+    EXPECT_NE(outcome.out.find(part), std::string::npos) << part << '\n' << outcome.out;
+    EXPECT_NE(Read("doc.md").find(part), std::string::npos) << part;
+  }
+  EXPECT_NE(outcome.err.find("walk random 90 % batch-gnc: ATE"), std::string::npos) << outcome.err;
+  EXPECT_EQ(Read("doc.md").find("stale text"), std::string::npos);
+  const auto failed =
+      Json("table outliers few --percents 10 --seeds 1 --run-seconds 1e-9 --graphs ball --json --quiet");
+  EXPECT_EQ(failed["graphs"][0]["runs"][0]["failure"], "stopped after 1e-09 s");
+  EXPECT_EQ(failed["graphs"][0]["rows"][0]["failed"], 1);
+  EXPECT_GT(failed["graphs"][0]["runs"][0]["seconds"], 0);
+  const std::string text = Succeed("table outliers few --percents 10 --seeds 1 --run-seconds 1e-9 --quiet").out;
+  EXPECT_NE(text.find("- failed: 1 of 1, compact, random, 10 %: stopped after"), std::string::npos) << text;
 }
 
 }  // namespace

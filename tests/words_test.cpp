@@ -12,8 +12,8 @@ namespace {
 
 template <class E>
 class WordsTest : public ::testing::Test {};
-using Enumerations = ::testing::Types<RotationInformation, InitialValues, ArrivalUnit, RobustKernel, Gate, Policy,
-                                      CholeskyPath, Strategy, Record, AngleMeasure, CompositionOrder, Recovery>;
+using Enumerations = ::testing::Types<RotationInformation, InitialValues, ArrivalUnit, OutlierKind, RobustKernel, Gate,
+                                      Policy, CholeskyPath, Strategy, Record, AngleMeasure, CompositionOrder, Recovery>;
 TYPED_TEST_SUITE(WordsTest, Enumerations);
 
 TYPED_TEST(WordsTest, EveryValueHasOneOfItsOwn) {

@@ -6,6 +6,7 @@
 #include <filesystem>
 
 #include "npz_file.h"
+#include "terse/compact/compact_graph.h"
 #include "terse/compact/compact_map.h"
 #include "terse/compact/json_file.h"
 #include "terse/compact/map_file.h"
@@ -168,7 +169,7 @@ void WriteDecisions(const std::vector<Decision>& decisions, const std::string& p
 template <class Pose>
 void WriteMapAndTrajectory(const CompactPoseSlam<Pose>& slam, const BatchResult<Pose>& result, Recovery recovery,
                            RotationInformation rotation_information, const std::string& folder) {
-  WriteG2o(slam.Solver().Graph().WithPoses(result.T_world_body), folder + "/compact.g2o", rotation_information);
+  WriteG2o(MapGraph(slam, result.T_world_body), folder + "/compact.g2o", rotation_information);
   WriteTum(MakeRunTrajectories(slam, recovery, nullptr).estimate, folder + "/trajectory.tum");
 }
 
@@ -197,9 +198,8 @@ double WriteRun(const RunResults<Pose>& run, const std::string& folder) {
   }
   const CompactOptions<Pose>& options = run.slam.Options();
   WriteThresholds(options.thresholds, folder + "/thresholds.json");
-  const PoseGraph<Pose>& kept = run.slam.Solver().Graph();
-  WriteG2o(kept.WithPoses(run.result.T_world_body), folder + "/compact.g2o", run.rotation_information,
-           InformationComment(run.information_scale));
+  const PoseGraph<Pose> kept = MapGraph(run.slam, run.result.T_world_body);
+  WriteG2o(kept, folder + "/compact.g2o", run.rotation_information, InformationComment(run.information_scale));
   WriteCompactMap(run.slam.Export(run.recovery), options.strategy, folder + "/graph.json", run.information_scale);
   WriteTum(run.trajectories.estimate, folder + "/trajectory.tum");
   if (run.trajectories.truth) WriteTum(*run.trajectories.truth, folder + "/ground_truth.tum");

@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "batch/batch_problem.h"
+#include "incremental/loop_selection.h"
 #include "support/stopwatch.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
@@ -309,6 +310,9 @@ class Run {
 
 }  // namespace
 
+// Loops of a graph that is graduated as a whole besides.
+constexpr size_t kMostGraduated = 500;
+
 const char* Name(Termination termination) {
   switch (termination) {
     case Termination::kConverged: return "converged";
@@ -324,7 +328,20 @@ const char* Name(Termination termination) {
 template <class Pose>
 BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pose>& initial,
                              const BatchOptions& options) {
-  return Run<Pose>(graph, initial, options).Execute();
+  const bool selects = options.robust.kernel == RobustKernel::kGnc && options.graduate && !options.robust_factors;
+  if (!selects || initial.size() != graph.Poses().size()) return Run<Pose>(graph, initial, options).Execute();
+  bool is_stopped = false;
+  const std::optional<internal::LoopSelection<Pose>> selected = internal::SolveByReplay(graph, options, is_stopped);
+  BatchOptions from_there = options;
+  from_there.graduate = !selected;
+  if (is_stopped) from_there.progress = [](int, double) { return false; };
+  if (selected) from_there.robust_factors = selected->robust_factors;
+  BatchResult<Pose> result = Run<Pose>(graph, selected ? selected->T_world_body : initial, from_there).Execute();
+  // With all loops at once the factor fills up: only where that costs little.
+  const bool tries_both = selected && !is_stopped && LoopFactors(graph).size() <= kMostGraduated;
+  if (!tries_both) return result;
+  BatchResult<Pose> graduated = Run<Pose>(graph, initial, options).Execute();
+  return graduated.robust_cost < result.robust_cost * (1 - 1e-9) ? std::move(graduated) : std::move(result);
 }
 
 template <class Pose>

@@ -1,5 +1,7 @@
 #include "terse/core/front_paths.h"
 
+#include <utility>
+
 namespace terse::internal {
 
 std::vector<int>& RowScratch(int variables) {
@@ -61,34 +63,34 @@ void SolveDense(const FrontTree<B>& tree, std::vector<double>& X, int stride) {
 
 template <int B>
 PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f) {
-  std::map<int, Matrix<B, B>> rhs;
-  rhs[f.first] = f.A_first.transpose();
-  rhs[f.second] = f.A_second.transpose();
-  PathColumns<B> out;
-  Eigen::Matrix<double, Eigen::Dynamic, B> below;
+  constexpr int kStride = Stride(B);
   FrontPaths<B> paths(tree);
   paths.Add(f.second);
   paths.Add(f.first);
-  for (int k = paths.Size() - 1; k >= 0; --k) {
-    const Front<B>& front = paths[k];
-    const int rows = front.Rows(), p = front.Columns();
-    const auto L = front.Panel();
-    auto& z = out[paths.IdAt(k)];
-    z.setZero(p, B);
-    int row = 0;
-    for (const int v : front.pivots) {
-      const auto it = rhs.find(v);
-      if (it != rhs.end()) z.template middleRows<B>(row) = it->second;
-      row += B;
-    }
-    L.topRows(p).template triangularView<Eigen::Lower>().solveInPlace(z);
-    below.noalias() = L.middleRows(p, rows - 1 - p) * z;
-    row = 0;
-    for (const int v : front.separators) {
-      const auto it = rhs.try_emplace(v, Matrix<B, B>::Zero()).first;
-      it->second -= below.template middleRows<B>(row);
-      row += B;
-    }
+  std::vector<int>& row_of = RowScratch(tree.Variables());
+  int rows = 0;
+  for (int k = 0; k < paths.Size(); ++k) {
+    for (const int v : paths[k].pivots) row_of[At(v)] = std::exchange(rows, rows + B);
+  }
+  std::vector<double> X(At(rows) * kStride), scratch;
+  std::vector<int> first(At(paths.Size()), kNoRow);
+  const auto lower = [&](std::vector<int>& bound, int v) {
+    int& at = bound[At(paths.PositionOf(v))];
+    at = std::min(at, PivotRow<B>(paths[paths.PositionOf(v)], v));
+  };
+  const auto add = [&](int v, const Matrix<B, B>& A) {
+    AddRightHandSide<B>({v, 0, A.transpose()}, row_of, X.data(), kStride);
+    lower(first, v);
+  };
+  add(f.first, f.A_first);
+  add(f.second, f.A_second);
+  ForwardPaths(paths, first, lower, row_of, X.data(), kStride, scratch);
+  PathColumns<B> out;
+  const double* z = X.data();
+  for (int k = 0; k < paths.Size(); ++k) {
+    const int p = paths[k].Columns();
+    out.emplace(paths.IdAt(k), Eigen::Map<const typename PathColumns<B>::mapped_type>(z, p, kStride));
+    z += p * kStride;
   }
   return out;
 }
@@ -96,9 +98,16 @@ PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f) 
 template <int B>
 Matrix<B, B> Gram(const PathColumns<B>& a, const PathColumns<B>& b) {
   Matrix<B, B> sum = Matrix<B, B>::Zero();
-  for (const auto& [front, z] : a) {
-    const auto it = b.find(front);
-    if (it != b.end()) sum.noalias() += z.transpose() * it->second;
+  const auto add = Kernels().add_rectangle;
+  for (auto at_a = a.begin(), at_b = b.begin(); at_a != a.end() && at_b != b.end();) {
+    if (at_a->first < at_b->first) {
+      ++at_a;
+    } else if (at_b->first < at_a->first) {
+      ++at_b;
+    } else {
+      const auto &za = (at_a++)->second, &zb = (at_b++)->second;
+      add(sum.data(), B, za.data(), Stride(B), zb.data(), Stride(B), B, B, static_cast<int>(za.rows()));
+    }
   }
   return sum;
 }
@@ -122,7 +131,7 @@ std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>
     }
     const auto it = Z.find(id);
     if (it == Z.end() && xs.isZero(0)) continue;  // all below stays
-    xp = it != Z.end() ? Eigen::VectorXd(it->second * q) : Eigen::VectorXd::Zero(p);
+    xp = it != Z.end() ? Eigen::VectorXd(it->second.template leftCols<B>() * q) : Eigen::VectorXd::Zero(p);
     xp.noalias() -= L.middleRows(p, rows - 1 - p).transpose() * xs;
     L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(xp);
     row = 0;

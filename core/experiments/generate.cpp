@@ -7,6 +7,7 @@
 
 #include "experiments/generate_scene.h"
 #include "terse/core/outliers.h"
+#include "terse/core/slips.h"
 
 namespace terse {
 namespace internal {
@@ -201,9 +202,14 @@ void Generate(const GenerateOptions& options, const GenerateSink<Pose>& sink) {
     GenerateTrue<Pose>(options, [&](PoseId id, const Pose&, const Edges& edges) { survey.Arrive(id, edges); });
   }
   WrongLoops<Pose> wrong_loops(survey, options.wrong_loop_percent, options.seed, options.wrong_loop_kind);
+  internal::Random random(options.seed);
+  const long poses = options.slips != 0 ? internal::Plan<Pose>(options, random).poses : 0;
+  const Slips<Pose> slips(poses, options.slips, options.seed);
   GenerateTrue<Pose>(options, [&](PoseId id, const Pose& T_world_body, const Edges& edges) {
     if (sink.pose) sink.pose(id, T_world_body);
-    for (const auto& edge : edges) {
+    for (RelativePoseFactor<Pose> edge : edges) {
+      const bool is_odometry = edge.to == id && edge.from.value == id.value - 1;
+      if (is_odometry && slips.Apply(id.value, edge) && sink.slip) sink.slip(edge);
       if (sink.edge) sink.edge(edge);
     }
     if (options.wrong_loop_percent == 0) return;  // nor are the poses held

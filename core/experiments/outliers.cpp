@@ -6,12 +6,14 @@
 #include <stdexcept>
 #include <string>
 
+#include "experiments/arrivals.h"
 #include "experiments/wrong_loop_draw.h"
-#include "terse/core/arrival.h"
 
 namespace terse {
 namespace {
 
+using internal::Arrival;
+using internal::Arrivals;
 using internal::Below;
 using internal::Random;
 
@@ -161,39 +163,6 @@ void WrongLoops<Pose>::ExpectDone() const {
                               " wrong loops find no place: too few pairs of poses are without a link and far enough "
                               "from what the loops measure");
 }
-
-namespace {
-
-// A pose of a stored graph as it would have come in online.
-template <class Pose>
-struct Arrival {
-  int pose = 0;
-  std::vector<int> factors;                     // those that arrive with it, in order
-  std::vector<RelativePoseFactor<Pose>> edges;  // the relative ones of them
-};
-
-template <class Pose>
-std::vector<Arrival<Pose>> Arrivals(const PoseGraph<Pose>& graph) {
-  std::vector<Arrival<Pose>> out;
-  std::vector<std::size_t> position(graph.Poses().size());
-  for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
-    for (const int pose : step.poses) {
-      position[static_cast<std::size_t>(pose)] = out.size();
-      out.push_back({pose, {}, {}});
-    }
-    for (const int f : step.factors) {
-      const auto& factor = graph.Factors()[static_cast<std::size_t>(f)].factor;
-      const FactorPoses ends = PosesOf(factor);
-      const auto at = [&](PoseId id) { return position[static_cast<std::size_t>(graph.IndexOf(id))]; };
-      Arrival<Pose>& arrival = out[std::max(at(ends.first), at(ends.second))];
-      arrival.factors.push_back(f);
-      if (ends.count == 2) arrival.edges.push_back(std::get<RelativePoseFactor<Pose>>(factor));
-    }
-  }
-  return out;
-}
-
-}  // namespace
 
 template <class Pose>
 GraphWithWrongLoops<Pose> AddWrongLoops(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,

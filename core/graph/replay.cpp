@@ -1,5 +1,7 @@
 #include "terse/core/replay.h"
 
+#include <utility>
+
 #include "terse/core/initial_values.h"
 
 namespace terse {
@@ -28,9 +30,28 @@ void Replay(const PoseGraph<Pose>& graph, const ReplayOptions& options, Incremen
   }
 }
 
-template void Replay<SE2>(const PoseGraph<SE2>&, const ReplayOptions&, IncrementalSolver<SE2>&,
-                          const std::function<bool(const ReplayStep&)>&);
-template void Replay<SE3>(const PoseGraph<SE3>&, const ReplayOptions&, IncrementalSolver<SE3>&,
-                          const std::function<bool(const ReplayStep&)>&);
+template <class Pose>
+void OrderAsIn(const PoseGraph<Pose>& graph, ArrivalUnit every, const PoseGraph<Pose>& arrived,
+               BatchResult<Pose>& result) {
+  std::vector<Pose> values;
+  for (const auto& node : graph.Poses()) {
+    values.push_back(result.T_world_body[static_cast<std::size_t>(arrived.IndexOf(node.id))]);
+  }
+  result.T_world_body = std::move(values);
+  if (result.weights.empty()) return;
+  const std::vector<double> weights = std::exchange(result.weights, std::vector<double>(graph.Factors().size(), 1.0));
+  auto weight = weights.begin();
+  for (const ArrivalStep& step : ArrivalSteps(graph, every)) {
+    for (const int f : step.factors) result.weights[static_cast<std::size_t>(f)] = *weight++;
+  }
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                      \
+  template void Replay<Pose>(const PoseGraph<Pose>&, const ReplayOptions&, IncrementalSolver<Pose>&, \
+                             const std::function<bool(const ReplayStep&)>&);                         \
+  template void OrderAsIn<Pose>(const PoseGraph<Pose>&, ArrivalUnit, const PoseGraph<Pose>&, BatchResult<Pose>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
 
 }  // namespace terse

@@ -96,6 +96,18 @@ std::vector<FactorId> LoopFactors(const PoseGraph<Pose>& graph) {
 }
 
 template <class Pose>
+std::vector<FactorId> SlippedOdometry(const PoseGraph<Pose>& graph, const std::vector<double>& weights) {
+  std::vector<FactorId> slipped;
+  const std::vector<FactorId> loops = LoopFactors(graph);
+  auto weight = weights.begin();
+  for (const auto& node : graph.Factors()) {
+    if (weight == weights.end()) break;
+    if (*weight++ == 0 && !std::binary_search(loops.begin(), loops.end(), node.id)) slipped.push_back(node.id);
+  }
+  return slipped;
+}
+
+template <class Pose>
 PoseGraph<Pose> WithWeights(const PoseGraph<Pose>& graph, const std::vector<double>& weights) {
   PoseGraph<Pose> out = graph;
   if (weights.empty()) return out;
@@ -115,8 +127,9 @@ PoseGraph<Pose> WithWeights(const PoseGraph<Pose>& graph, const std::vector<doub
   return out;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                             \
-  template std::vector<FactorId> LoopFactors<Pose>(const PoseGraph<Pose>&); \
+#define TERSE_INSTANTIATE(Pose)                                                                             \
+  template std::vector<FactorId> LoopFactors<Pose>(const PoseGraph<Pose>&);                                 \
+  template std::vector<FactorId> SlippedOdometry<Pose>(const PoseGraph<Pose>&, const std::vector<double>&); \
   template PoseGraph<Pose> WithWeights<Pose>(const PoseGraph<Pose>&, const std::vector<double>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -17,6 +17,8 @@
 
 namespace terse {
 namespace {
+// Looks at the loops that are out, each time from a new minimum.
+constexpr int kMostFinishRounds = 10;
 
 using internal::Log;
 using internal::ScopedTimer;
@@ -243,16 +245,10 @@ void IncrementalSolver<Pose>::Parts::RestartIfLower(Step& step) {
 // All linearisation points. False, and nothing changes, if the Cholesky factor does not take them.
 template <class Pose>
 bool IncrementalSolver<Pose>::Parts::MoveTo(const std::vector<Pose>& T_world_body, const IncrementalOptions& options) {
-  Gauge<Pose> gauge = map.Frame().gauge;
-  if (!options.anchor_information) gauge = FindGauge(map.Graph(), T_world_body);
-  if (!map.MoveTo(T_world_body, gauge)) return false;
-  relinearization.ForgetErrors();
+  StepReport report;
+  Step step{options, map, relinearization, report};
+  if (!internal::MoveMap(T_world_body, step)) return false;
   is_deferred = false;
-  if (options.carry == Carry::kOffset) {
-    StepReport report;
-    Step step{options, map, relinearization, report};
-    internal::BackSubstitute(std::nullopt, step);
-  }
   return true;
 }
 
@@ -273,6 +269,16 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
       return result;
     }
   }
+  if (options_.robust.kernel == RobustKernel::kGnc && options_.carry == Carry::kOffset) {
+    StepReport report;
+    typename Parts::Step step{options_, map, relinearization, report};
+    // What is judged has to be at its minimum.
+    FinishFrom(Estimates(), options);
+    for (int round = 0; round < kMostFinishRounds; ++round) {
+      if (!judge.ReviewAllOdometry(step) && !judge.JudgeParkedGroups(step)) break;
+      FinishFrom(Estimates(), options);
+    }
+  }
   return FinishFrom(Estimates(), options);
 }
 
@@ -282,7 +288,7 @@ BatchResult<Pose> IncrementalSolver<Pose>::FinishFrom(const std::vector<Pose>& T
   auto& [map, relinearization, gate, judge, watch, is_deferred] = *parts_;
   BatchOptions options = given;
   if (!options.log) options.log = options_.log;
-  BatchResult<Pose> result = judge.SolveBatch(map, T_world_body, options);
+  BatchResult<Pose> result = judge.SolveBatch(map, T_world_body, options, options_.carry == Carry::kPoint);
   if (result.termination == Termination::kNotPositiveDefinite) return result;
   StepReport report;
   typename Parts::Step step{options_, map, relinearization, report};

@@ -156,7 +156,7 @@ void LinearizedGraph<Pose>::Commit(const GraphUpdate<Pose>& update, const Update
         graph_.AddFactor(update.factors[k], update.factor_ids.empty() ? graph_.NextFactorId() : update.factor_ids[k]);
     report.factor_ids.push_back(id);
     slot_of_factor_.resize(At(id) + 1, -1);
-    if (!plan.IsLoop(k)) Bind(added_slots[slots++], id, plan.W[k]);
+    if (!plan.Waits(k)) Bind(added_slots[slots++], id, plan.W[k]);
   }
   // Priors of fixed poses and the anchor have slots, but no id.
   for (; slots < added_slots.size(); ++slots) Bind(added_slots[slots], FactorId(), Matrix<B, B>::Zero());

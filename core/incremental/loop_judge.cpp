@@ -1,14 +1,18 @@
 #include "incremental/loop_judge.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
+#include <map>
+#include <set>
 #include <stdexcept>
 
-#include "incremental/loop_contest.h"
+#include "incremental/slip_search.h"
 #include "terse/core/front_paths.h"
 #include "terse/core/graph_members.h"
 #include "terse/core/log_message.h"
+#include "terse/core/loop_contest.h"
 #include "terse/core/option_members.h"
 #include "terse/core/residual.h"
 
@@ -17,33 +21,27 @@ namespace {
 
 using std::size_t;
 
-// Loops that are judged together; those that come back are judged so many in a step.
-constexpr size_t kMostContested = 10, kMostRetried = 4;
+// Loops that are judged at once, of each side of a contest, and of those that come back in a step.
+constexpr size_t kMostJudged = 10, kMostRetried = 10;
+constexpr size_t MostOfASide(int B) { return B == 3 ? 40 : 24; }
+// Loops whose poses came in so close to each other, at both ends, are a group.
+constexpr int kReachOfGroup = 10;
+constexpr size_t kMostOfGroup = 12;
+template <int B>
+bool AreNear(const LinearFactor<B>& a, const LinearFactor<B>& b) {
+  return std::abs(a.first - b.first) <= kReachOfGroup && std::abs(a.second - b.second) <= kReachOfGroup;
+}
+// Loops that are out, looked at for a newcomer's sake: around it in order of arrival, then all; and in a step.
+constexpr size_t kNeighbours = 200, kMostLooked = 2000;
+// Scalars that a graduation may have: every stage of it solves for all.
+constexpr size_t kMostGraduated = 60;
 constexpr int kMostRounds = 3;
 // A loop is judged again when its chi2 has changed by this factor.
 constexpr double kNews = 2;
+// Of a loop that has not been judged.
+constexpr double kUnknownLeverage = 4;
 
 }  // namespace
-
-template <class Pose>
-struct LoopJudge<Pose>::Loop {
-  FactorId id;
-  int slot;                // -1: out
-  Matrix<B, B> W;          // without weight, as the next two
-  LinearFactor<B> linear;  // at the linearisation points
-  Vector<B> residual;      // at the estimate
-  double weight = 1;       // that it is to have
-  PathColumns<B> z;
-
-  Loop(FactorId loop_id, const LinearizedGraph<Pose>& map) : id(loop_id), slot(map.SlotOf(loop_id)) {
-    const auto& factor = map.Graph().FindFactor(id)->factor;
-    const FactorPoses ends = PosesOf(factor);
-    const int a = map.Graph().IndexOf(ends.first), b = map.Graph().IndexOf(ends.second);
-    W = SquareRootInformation(factor);
-    linear = Linearize(factor, W, a, b, map.Points()[static_cast<size_t>(a)], map.Points()[static_cast<size_t>(b)]);
-    residual = W * Residual(factor, map.EstimateAt(a), map.EstimateAt(b));
-  }
-};
 
 template <class Pose>
 LoopJudge<Pose>::LoopJudge(const RobustOptions& options) : options_(options) {
@@ -61,6 +59,14 @@ void LoopJudge<Pose>::Release(int slot) {
   if (!IsActive()) return;
   At(slot).is_loop = 0;
   At(slot).weight = 1;
+}
+
+template <class Pose>
+void LoopJudge<Pose>::Enter(int slot, double weight) {
+  At(slot).is_loop = 1;
+  At(slot).weight = weight;
+  At(slot).judged_chi2 = 0;
+  At(slot).leverage = kUnknownLeverage;
 }
 
 // The weight that agrees with the residual that it leads to, found from that of the innovation.
@@ -98,19 +104,19 @@ bool LoopJudge<Pose>::Exchange(const Loops& in, const Loops& out, StepContext<Po
   step.report.path = std::max(step.report.path, done.path);
   LogLoops(in, "in, weight ", step);
   LogLoops(out, "out, weight was ", step);
+  has_evicted_ = has_evicted_ || !out.empty();
   for (const Loop& loop : out) {
     step.relinearization.Release(loop.slot);
+    if (!At(loop.slot).is_loop) slips_.insert(std::upper_bound(slips_.begin(), slips_.end(), loop.id), loop.id);
     Release(loop.slot);
     step.map.Release(loop.id);
-    Park(loop.id, loop.residual.squaredNorm());
+    Park(loop.id, std::numeric_limits<double>::infinity());  // to be heard once more where the others then are
   }
   for (size_t k = 0; k < in.size(); ++k) {
     const int slot = done.added_slots[k];
     step.map.Bind(slot, in[k].id, std::sqrt(in[k].weight) * in[k].W);
     Resize(step.map);
-    At(slot).is_loop = 1;
-    At(slot).weight = in[k].weight;
-    At(slot).judged_chi2 = 0;
+    if (!IsSlip(in[k].id)) Enter(slot, in[k].weight);
     Unpark(in[k].id);
   }
   step.relinearization.Resize(step.map);
@@ -131,6 +137,13 @@ void LoopJudge<Pose>::LogLoops(const Loops& loops, const char* what, const StepC
 }
 
 template <class Pose>
+void LoopJudge<Pose>::LogScreened(FactorId id, const StepContext<Pose>& step) const {
+  Loop loop(id, step.map);
+  loop.slot = -1;  // as it came
+  LogLoops({loop}, "in, weight ", step);
+}
+
+template <class Pose>
 void LoopJudge<Pose>::Park(FactorId id, double chi2) {
   const auto it =
       std::lower_bound(parked_.begin(), parked_.end(), id, [](const Parked& p, FactorId x) { return p.id < x; });
@@ -142,10 +155,16 @@ void LoopJudge<Pose>::Park(FactorId id, double chi2) {
 }
 
 template <class Pose>
+double LoopJudge<Pose>::PriceOf(FactorId id) const {
+  return (IsSlip(id) ? kSlipPrice : 1) * width_ * width_;
+}
+
+template <class Pose>
 void LoopJudge<Pose>::Unpark(FactorId id) {
   const auto it =
       std::lower_bound(parked_.begin(), parked_.end(), id, [](const Parked& p, FactorId x) { return p.id < x; });
   if (it != parked_.end() && it->id == id) parked_.erase(it);
+  slips_.erase(std::remove(slips_.begin(), slips_.end(), id), slips_.end());
 }
 
 template <class Pose>
@@ -153,8 +172,14 @@ void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, StepContext<Pose>& step) {
   Loops loops;
   for (size_t k = 0; k < plan.is_loop.size(); ++k) {
     if (!plan.IsLoop(k)) continue;
-    Park(step.report.factor_ids[k], std::numeric_limits<double>::infinity());
-    loops.emplace_back(step.report.factor_ids[k], step.map);
+    const FactorId id = step.report.factor_ids[k];
+    if (!plan.Waits(k)) {
+      Enter(step.map.SlotOf(id), 1);
+      if (step.options.log) LogScreened(id, step);
+      continue;
+    }
+    Park(id, std::numeric_limits<double>::infinity());
+    loops.emplace_back(id, step.map);
   }
   if (loops.empty()) return;
   if (Chooses()) {
@@ -173,123 +198,197 @@ void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, StepContext<Pose>& step) {
 template <class Pose>
 bool LoopJudge<Pose>::AdmitLoops(const Loops& loops, StepContext<Pose>& step) {
   bool changed = false;
-  for (size_t first = 0; first < loops.size(); first += kMostContested) {
+  for (size_t first = 0; first < loops.size(); first += kMostJudged) {
     Loops block(loops.begin() + static_cast<long>(first),
-                loops.begin() + static_cast<long>(std::min(loops.size(), first + kMostContested)));
-    const bool fits = std::all_of(block.begin(), block.end(),
-                                  [&](const Loop& l) { return l.residual.squaredNorm() <= width_ * width_; });
-    if (fits) {
-      changed = Exchange(block, {}, step) || changed;
-      continue;
-    }
-    const bool admitted = Judge(block, step);
+                loops.begin() + static_cast<long>(std::min(loops.size(), first + kMostJudged)));
+    const bool admitted = Judge(block, Camps(), step);
     changed = changed || admitted;
     // The residuals that a contest compares are those of the minimum: others wait until that is found.
-    if (admitted || block.size() > 1) continue;
-    Loops contest = block;
-    AddContestants(contest, step.map);
-    Park(block[0].id, block[0].residual.squaredNorm());
-    if (contest.size() > 1 && Judge(contest, step)) changed = true;
+    if (changed) continue;
+    for (size_t k = 0; k < block.size() && !changed; ++k) {
+      Loops contest = {block[k]};
+      const Camps camps = AddContestants(contest, step.map);
+      Park(block[k].id, block[k].residual.squaredNorm());
+      if (contest.size() > 1) changed = Judge(contest, camps, step);
+      if (step.options.carry == Carry::kPoint) continue;
+      changed = changed || AdmitSlip(block[k].id, step) || AdmitLocalSlip(block[k].id, step);
+    }
   }
   return changed;
+}
+
+template <class Pose>
+std::pair<size_t, size_t> LoopJudge<Pose>::ParkedAround(FactorId id) const {
+  const auto place = static_cast<size_t>(
+      std::lower_bound(parked_.begin(), parked_.end(), id, [](const Parked& p, FactorId x) { return p.id < x; }) -
+      parked_.begin());
+  return {place - std::min(place, kNeighbours / 2), std::min(parked_.size(), place + kNeighbours / 2)};
 }
 
 // Whom it would move most if the loop were in, and who would be served. What is in may give way by little and still
 // oppose: its conflict can be with the odometry between.
 template <class Pose>
-void LoopJudge<Pose>::AddContestants(Loops& contest, const Map& map) const {
+typename LoopJudge<Pose>::Camps LoopJudge<Pose>::AddContestants(Loops& contest, const Map& map) const {
+  using Ranked = std::vector<std::pair<double, FactorId>>;
   const Loop& loop = contest[0];
   const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(loop.z, loop.z);
   const std::vector<double> x = SolveBackward<B>(map.Cholesky().Tree(), loop.z, S.llt().solve(loop.residual));
   const auto moved = [&](const LinearFactor<B>& f) { return ResidualChange(f, x); };
-  std::vector<std::pair<double, FactorId>> against, along;
-  for (const Parked& parked : parked_) {
-    if (parked.id == loop.id) continue;
-    const Loop other(parked.id, map);
-    const double now = other.residual.squaredNorm(), after = (other.residual - moved(other.linear)).squaredNorm();
-    if (after * kNews < now) along.emplace_back(after, parked.id);
-  }
-  if (along.empty()) return;  // one against another: who was first stays
+  Ranked against, along;
+  int mates = 0;  // of its group, or at one with it
+  const auto look = [&](size_t first, size_t last) {
+    for (size_t k = first; k < last; ++k) {
+      if (parked_[k].id == loop.id) continue;
+      const Loop other(parked_[k].id, map);
+      const double now = other.residual.squaredNorm(), after = (other.residual - moved(other.linear)).squaredNorm();
+      if (after * kNews >= now) continue;
+      along.emplace_back(after, other.id);
+      if (AreNear(loop.linear, other.linear) || after <= width_ * width_) ++mates;
+    }
+  };
+  const auto [first_around, behind_around] = ParkedAround(loop.id);
+  look(first_around, behind_around);
+  // One against another: who was first stays. More are heard when they have become twice as many.
+  if (mates == 0 || (mates & (mates - 1)) != 0) return {};
+  along.clear();
+  look(parked_.size() - std::min(parked_.size(), kMostLooked), parked_.size());
   for (int slot = 0; slot < static_cast<int>(slots_.size()); ++slot) {
     if (!slots_[static_cast<size_t>(slot)].is_loop) continue;
     against.emplace_back(-moved(map.Cholesky().LinearFactorAt(slot)).squaredNorm(), map.IdAt(slot));
   }
-  for (auto* side : {&against, &along}) {
-    const auto kept = side->begin() + static_cast<long>(std::min(side->size(), kMostContested / 2));
-    std::partial_sort(side->begin(), kept, side->end());
-    side->erase(kept, side->end());
+  const auto best = [](Ranked& side) { side.resize(std::min(side.size(), MostOfASide(B))); };
+  std::sort(along.begin(), along.end());
+  best(along);
+  for (const auto& entry : along) contest.emplace_back(entry.second, map);
+  Camps camps;
+  camps.first_against = contest.size();
+  const auto kept = against.begin() + static_cast<long>(std::min(against.size(), MostOfASide(B)));
+  std::partial_sort(against.begin(), kept, against.end());
+  std::set<int> taken;
+  for (auto it = against.begin(); it != kept && taken.size() < MostOfASide(B); ++it) {
+    const int seed = map.SlotOf(it->second);
+    if (taken.count(seed) > 0) continue;
+    std::vector<size_t> group;
+    for (const int slot : GroupOf(seed, map)) {
+      if (!taken.insert(slot).second) continue;
+      group.push_back(contest.size());
+      contest.emplace_back(map.IdAt(slot), map);
+    }
+    camps.groups.push_back(std::move(group));
   }
-  for (const auto* side : {&against, &along}) {
-    for (const auto& entry : *side) contest.emplace_back(entry.second, map);
-  }
+  return camps;
 }
 
-// kGnc: which of these are in. True if that changed.
+// The slots of loops that lead from where this one does to where it does, itself the first.
 template <class Pose>
-bool LoopJudge<Pose>::Judge(Loops& loops, StepContext<Pose>& step) {
+std::vector<int> LoopJudge<Pose>::GroupOf(int slot, const Map& map) const {
+  const LinearFactor<B>& seed = map.Cholesky().LinearFactorAt(slot);
+  std::vector<int> group = {slot};
+  for (int v = std::max(0, seed.first - kReachOfGroup);
+       v <= std::min(map.Cholesky().Variables() - 1, seed.first + kReachOfGroup); ++v) {
+    for (const int other : map.Cholesky().SlotsOf(v)) {
+      const LinearFactor<B>& f = map.Cholesky().LinearFactorAt(other);
+      if (other == slot || !slots_[static_cast<size_t>(other)].is_loop || f.first != v || !AreNear(f, seed)) continue;
+      group.push_back(other);
+      if (group.size() == kMostOfGroup) return group;
+    }
+  }
+  return group;
+}
+
+template <class Pose>
+auto LoopJudge<Pose>::ContestOf(Loops& loops, const Map& map) const -> Contest<B> {
   const auto n = static_cast<Eigen::Index>(loops.size());
-  Eigen::VectorXd r(n * B), in(n * B);
+  Eigen::VectorXd r(n * B);
   Eigen::MatrixXd P(n * B, n * B);
-  std::vector<char> chosen(loops.size());
+  std::vector<char> in(loops.size());
   for (Eigen::Index i = 0; i < n; ++i) {
     Loop& loop = loops[static_cast<size_t>(i)];
-    if (loop.z.empty()) loop.z = SolveForward(step.map.Cholesky().Tree(), loop.linear);
-    chosen[static_cast<size_t>(i)] = loop.slot >= 0;
-    in.segment<B>(i * B).setConstant(loop.slot >= 0 ? 1 : 0);
-    r.segment<B>(i * B) = loop.slot >= 0 ? step.map.LinearResidual(loop.slot) : loop.residual;
+    if (loop.z.empty()) loop.z = SolveForward(map.Cholesky().Tree(), loop.linear);
+    in[static_cast<size_t>(i)] = loop.slot >= 0;
+    r.segment<B>(i * B) = loop.slot >= 0 ? map.LinearResidual(loop.slot) : loop.residual;
     for (Eigen::Index j = 0; j <= i; ++j) {
       P.block<B, B>(i * B, j * B) = Gram<B>(loop.z, loops[static_cast<size_t>(j)].z);
       if (j < i) P.block<B, B>(j * B, i * B) = P.block<B, B>(i * B, j * B).transpose();
     }
   }
-  if (in.maxCoeff() > 0) {  // leave out what is in
-    Eigen::MatrixXd M = -P * in.asDiagonal();
-    M.diagonal().array() += 1;
-    const Eigen::PartialPivLU<Eigen::MatrixXd> lu(M);
-    r = lu.solve(r).eval();
-    P = lu.solve(P).eval();
-    P = ((P + P.transpose()) / 2).eval();
+  Contest<B> contest(std::move(r), std::move(P), std::move(in), width_);
+  for (size_t i = 0; i < loops.size(); ++i) contest.SetPrice(i, PriceOf(loops[i].id));
+  return contest;
+}
+
+// kGnc: which of these are in, if any. True if that changed.
+template <class Pose>
+bool LoopJudge<Pose>::Judge(Loops& loops, const Camps& camps, StepContext<Pose>& step) {
+  const Contest<B> start = ContestOf(loops, step.map);
+  Contest<B> best = start;
+  best.Descend();
+  const auto offer = [&](Contest<B>& other) {
+    other.Descend();
+    if (other.Cost() < best.Cost() - 1e-6 * width_ * width_) best = std::move(other);
+  };
+  if (camps.first_against > 0) {
+    // The newcomer in and who agrees with it; then those that oppose them go, by groups and one by one.
+    Contest<B> other = start;
+    if (other.In()[0] != 0 || other.Flip(0)) {
+      other.Descend(1, camps.first_against);
+      other.DescendByGroups(camps.groups);
+      other.Descend();
+      offer(other);
+    }
   }
-  const Contest contest(std::move(r), std::move(P), B, width_);
-  std::vector<char> graduated = contest.Graduate(options_.gnc_step);
-  const double cost = contest.Descend(chosen);
-  if (contest.Descend(graduated) < cost - 1e-9 * width_ * width_) chosen = graduated;
+  if (loops.size() > 1 && loops.size() * static_cast<size_t>(B) <= kMostGraduated) {
+    Contest<B> other = start;
+    if (other.Graduate(options_.gnc_step)) offer(other);
+  }
   Loops comes, goes;
   for (size_t i = 0; i < loops.size(); ++i) {
-    if (chosen[i] && loops[i].slot < 0) comes.push_back(loops[i]);
-    if (!chosen[i] && loops[i].slot >= 0) goes.push_back(loops[i]);
-    if (chosen[i] && loops[i].slot >= 0) At(loops[i].slot).judged_chi2 = loops[i].residual.squaredNorm();
+    const bool was_in = loops[i].slot >= 0, is_in = best.In()[i] != 0;
+    if (is_in && !was_in) comes.push_back(loops[i]);
+    if (!is_in && was_in) goes.push_back(loops[i]);
+    if (is_in && was_in) {
+      At(loops[i].slot).judged_chi2 = loops[i].residual.squaredNorm();
+      At(loops[i].slot).leverage = best.Leverage(i);
+    }
   }
   return (!comes.empty() || !goes.empty()) && Exchange(comes, goes, step);
 }
 
-// The slots of the loops on poses that moved since they were looked at.
+// The slots on poses that moved since they were looked at.
 template <class Pose>
-std::vector<int> LoopJudge<Pose>::TouchedLoops(Map& map) {
-  std::vector<int> slots;
+typename LoopJudge<Pose>::Touched LoopJudge<Pose>::TakeTouched(Map& map) {
+  Touched touched;
   for (const int v : map.TakeTouched()) {
     for (const int slot : map.Cholesky().SlotsOf(v)) {
-      if (At(slot).is_loop && std::exchange(At(slot).is_listed, 1) == 0) slots.push_back(slot);
+      if (std::exchange(At(slot).is_listed, 1) != 0) continue;
+      if (At(slot).is_loop) {
+        touched.loops.push_back(slot);
+      } else {
+        touched.odometry.push_back(slot);
+      }
     }
   }
-  for (const int slot : slots) At(slot).is_listed = 0;
-  return slots;
+  for (const auto* slots : {&touched.loops, &touched.odometry}) {
+    for (const int slot : *slots) At(slot).is_listed = 0;
+  }
+  return touched;
 }
 
 // kGnc: loops that are in although the estimate contradicts them.
 template <class Pose>
 bool LoopJudge<Pose>::ReviewMembers(StepContext<Pose>& step) {
   std::vector<std::pair<double, int>> doubtful;
-  for (const int slot : TouchedLoops(step.map)) {
-    const double chi2 = step.map.LinearResidual(slot).squaredNorm();
-    if (chi2 > std::max(width_ * width_, kNews * At(slot).judged_chi2)) doubtful.emplace_back(-chi2, slot);
+  const Touched touched = TakeTouched(step.map);
+  for (const int slot : touched.loops) {
+    const double chi2 = step.map.LinearResidual(slot).squaredNorm(), innovation = chi2 * At(slot).leverage;
+    if (innovation > width_ * width_ && chi2 > kNews * At(slot).judged_chi2) doubtful.emplace_back(-innovation, slot);
   }
-  if (doubtful.empty()) return false;
+  if (doubtful.empty()) return step.options.carry == Carry::kOffset && ReviewOdometry(touched.odometry, step);
   std::sort(doubtful.begin(), doubtful.end());
-  if (doubtful.size() > kMostContested) doubtful.resize(kMostContested);
+  if (doubtful.size() > kMostJudged) doubtful.resize(kMostJudged);
   Loops loops;
   for (const auto& entry : doubtful) loops.emplace_back(step.map.IdAt(entry.second), step.map);
-  return Judge(loops, step);
+  return Judge(loops, Camps(), step);
 }
 
 template <class Pose>
@@ -298,7 +397,7 @@ bool LoopJudge<Pose>::ReviewWeights(StepContext<Pose>& step) {
   typename Map::Replacements replaced;
   const auto point = [&](int v) -> const Pose& { return map.Points()[static_cast<size_t>(v)]; };
   const double tolerated = step.options.reweigh_tolerance * map.CostUnit();
-  for (const int slot : TouchedLoops(map)) {
+  for (const int slot : TakeTouched(map).loops) {
     const double chi2 = map.Chi2Of(map.IdAt(slot)), weight = RobustWeight(options_.kernel, chi2, width_);
     if (std::abs(weight - At(slot).weight) * chi2 <= tolerated) continue;
     SetWeight(slot, weight, map);
@@ -313,21 +412,75 @@ void LoopJudge<Pose>::SetWeight(int slot, double weight, Map& map) {
   map.SetRoot(slot, std::sqrt(weight) * SquareRootInformation(map.Graph().FindFactor(map.IdAt(slot))->factor));
 }
 
-// kGnc: loops that are out and that the estimate has come closer to, the closest first.
+// kGnc: loops that are out and that the estimate has come closer to, the closest first; those from `first` on.
 template <class Pose>
-bool LoopJudge<Pose>::RetryParked(StepContext<Pose>& step) {
+bool LoopJudge<Pose>::RetryParked(size_t first, size_t last, StepContext<Pose>& step) {
   std::vector<std::pair<double, FactorId>> close;
-  for (const Parked& parked : parked_) {
-    const double chi2 = step.map.Chi2Of(parked.id);
-    if (chi2 <= width_ * width_ || chi2 * kNews < parked.chi2) close.emplace_back(chi2, parked.id);
+  for (size_t k = first; k < last; ++k) {
+    const double chi2 = step.map.Chi2Of(parked_[k].id);
+    if (chi2 <= width_ * width_ || chi2 * kNews < parked_[k].chi2) close.emplace_back(chi2, parked_[k].id);
   }
   std::sort(close.begin(), close.end());
   if (close.size() > kMostRetried) close.resize(kMostRetried);
+  Loops again;
   for (const auto& [chi2, id] : close) {
     Park(id, chi2);
-    if (AdmitLoops({Loop(id, step.map)}, step)) return true;
+    again.emplace_back(id, step.map);
   }
-  return false;
+  return AdmitLoops(again, step);
+}
+
+// One of a group speaks for it, the closest to the estimate; who is alone has been heard. Few are all heard.
+template <class Pose>
+bool LoopJudge<Pose>::JudgeParkedGroups(StepContext<Pose>& step) {
+  struct Entry {
+    double chi2;
+    FactorId id;
+    std::array<int, 2> ends;
+    bool operator<(const Entry& other) const { return chi2 < other.chi2; }
+  };
+  std::vector<Entry> order;
+  std::map<std::array<int, 2>, std::vector<std::array<int, 2>>> cells;  // a reach wide
+  const auto cell = [](const std::array<int, 2>& ends) {
+    return std::array<int, 2>{ends[0] / kReachOfGroup, ends[1] / kReachOfGroup};
+  };
+  const auto is_near = [](const std::array<int, 2>& a, const std::array<int, 2>& b) {
+    return a != b && std::abs(a[0] - b[0]) <= kReachOfGroup && std::abs(a[1] - b[1]) <= kReachOfGroup;
+  };
+  const auto any_near = [&](const std::array<int, 2>& ends) {
+    const std::array<int, 2> at = cell(ends);
+    for (int i = -1; i <= 1; ++i) {
+      for (int j = -1; j <= 1; ++j) {
+        const auto it = cells.find({at[0] + i, at[1] + j});
+        if (it == cells.end()) continue;
+        for (const auto& other : it->second) {
+          if (is_near(ends, other)) return true;
+        }
+      }
+    }
+    return false;
+  };
+  for (const Parked& parked : parked_) {
+    const FactorPoses ends = PosesOf(step.map.Graph().FindFactor(parked.id)->factor);
+    order.push_back({step.map.Chi2Of(parked.id),
+                     parked.id,
+                     {step.map.Graph().IndexOf(ends.first), step.map.Graph().IndexOf(ends.second)}});
+    cells[cell(order.back().ends)].push_back(order.back().ends);
+  }
+  const bool hears_all = parked_.size() <= kNeighbours;
+  const auto is_alone = [&](const Entry& e) { return !hears_all && !any_near(e.ends); };
+  order.erase(std::remove_if(order.begin(), order.end(), is_alone), order.end());
+  std::sort(order.begin(), order.end());
+  cells.clear();  // from here on those that have been heard
+  bool changed = false;
+  for (const Entry& entry : order) {
+    if (step.map.SlotOf(entry.id) >= 0 || (!hears_all && any_near(entry.ends))) continue;
+    cells[cell(entry.ends)].push_back(entry.ends);
+    if (!AdmitLoops({Loop(entry.id, step.map)}, step)) continue;
+    changed = true;
+    BackSubstitute(std::nullopt, step);
+  }
+  return changed;
 }
 
 template <class Pose>
@@ -337,7 +490,12 @@ void LoopJudge<Pose>::Review(StepContext<Pose>& step) {
   for (int round = 0; round < kMostRounds; ++round) {
     if (step.IsOverBudget()) return;
     bool changed = Chooses() ? ReviewMembers(step) : ReviewWeights(step);
-    if (!changed && std::exchange(retry, false)) changed = RetryParked(step);
+    // Those that had to go are heard at once from where the others then are.
+    if (!changed && (std::exchange(has_evicted_, false) || std::exchange(retry, false))) {
+      const size_t first = next_parked_ < parked_.size() ? next_parked_ : 0;
+      next_parked_ = std::min(parked_.size(), first + kMostLooked);
+      changed = RetryParked(first, next_parked_, step);
+    }
     if (!changed || step.options.carry == Carry::kPoint || !step.report.gate_open) return;
     BackSubstitute(std::nullopt, step);
   }
@@ -371,7 +529,7 @@ double LoopJudge<Pose>::WeightOf(FactorId id, const Map& map) const {
 
 template <class Pose>
 BatchResult<Pose> LoopJudge<Pose>::SolveBatch(const Map& map, const std::vector<Pose>& T_world_body,
-                                              BatchOptions options) const {
+                                              BatchOptions options, bool anew) const {
   if (!IsActive()) return terse::SolveBatch(map.Graph(), T_world_body, options);
   options.robust = options_;
   options.robust_factors.emplace();
@@ -380,11 +538,21 @@ BatchResult<Pose> LoopJudge<Pose>::SolveBatch(const Map& map, const std::vector<
     if (slots_[slot].is_loop) options.robust_factors->push_back(map.IdAt(static_cast<int>(slot)));
   }
   options.graduate = false;
-  BatchResult<Pose> result = terse::SolveBatch(map.Graph(), T_world_body, options);
-  if (!Chooses() || parked_.empty()) return result;
-  options.graduate = true;
-  BatchResult<Pose> graduated = terse::SolveBatch(map.Graph(), T_world_body, options);
-  return graduated.robust_cost < result.robust_cost * (1 - 1e-9) ? graduated : result;
+  if (!Chooses() || parked_.empty()) return terse::SolveBatch(map.Graph(), T_world_body, options);
+  if (anew) {
+    options.graduate = true;
+    options.robust_factors.reset();
+    return terse::SolveBatch(map.Graph(), T_world_body, options);
+  }
+  // Who is in was decided by innovations: residuals tell the same only at the optimum of those.
+  std::vector<double> weights;
+  for (const auto& node : map.Graph().Factors()) weights.push_back(map.SlotOf(node.id) >= 0 ? 1 : 0);
+  BatchOptions held = options;
+  held.robust = RobustOptions();
+  held.robust_factors.reset();
+  const BatchResult<Pose> start = terse::SolveBatch(WithWeights(map.Graph(), weights), T_world_body, held);
+  const bool is_good = start.termination != Termination::kNotPositiveDefinite;
+  return terse::SolveBatch(map.Graph(), is_good ? start.T_world_body : T_world_body, options);
 }
 
 // Linear factors keep their points.
@@ -410,11 +578,11 @@ void LoopJudge<Pose>::TakeWeights(const std::vector<double>& weights, StepContex
 template <class Pose>
 template <class Archive>
 void LoopJudge<Pose>::Serialize(Archive& archive) {
-  auto& [options, width, slots, parked] = *this;
-  archive(options, width);
+  auto& [options, width, slots, parked, next_parked, has_evicted, slips] = *this;
+  archive(options, width, next_parked, has_evicted, slips);
   archive.Each(slots, [&](OfSlot& slot) {
-    auto& [is_loop, is_listed, weight, judged_chi2] = slot;
-    archive(is_loop, is_listed, weight, judged_chi2);
+    auto& [is_loop, is_listed, weight, judged_chi2, leverage] = slot;
+    archive(is_loop, is_listed, weight, judged_chi2, leverage);
   });
   archive.Each(parked, [&](Parked& loop) {
     auto& [id, chi2] = loop;

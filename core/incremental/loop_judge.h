@@ -10,8 +10,12 @@
 // judged together with those that oppose or support it: graduated non-convexity on their joint n and P, then single
 // flips while these lower the cost. A loop that is out takes no part. The other kernels weigh every loop.
 
+#include <algorithm>
+
+#include "incremental/judged_loop.h"
 #include "incremental/steps.h"
 #include "incremental/update_plan.h"
+#include "terse/core/loop_contest.h"
 
 namespace terse::internal {
 
@@ -35,10 +39,17 @@ class LoopJudge {
   // Loops on poses that moved, and now and then those that are out, are judged again, while anything changes.
   void Review(StepContext<Pose>& step);
 
+  // kGnc: the groups of loops that are out, once more; all odometry, whether a part of it is wrong. True if that
+  // changed anything.
+  bool JudgeParkedGroups(StepContext<Pose>& step);
+  bool ReviewAllOdometry(StepContext<Pose>& step);
+
   double RobustChi2(const Map& map) const;
   double WeightOf(FactorId id, const Map& map) const;
-  // The batch optimum from these values with this judge's kernel; then its weights, by position in the graph's factors.
-  BatchResult<Pose> SolveBatch(const Map& map, const std::vector<Pose>& T_world_body, BatchOptions options) const;
+  // The batch optimum from these values with this judge's kernel, kGnc from the loops that are in, or anew; then its
+  // weights, by position in the graph's factors.
+  BatchResult<Pose> SolveBatch(const Map& map, const std::vector<Pose>& T_world_body, BatchOptions options,
+                               bool anew) const;
   void TakeWeights(const std::vector<double>& weights, StepContext<Pose>& step);
 
   template <class Archive>
@@ -46,12 +57,18 @@ class LoopJudge {
   std::string FindStateDefect(const Map& map) const;
 
  private:
-  struct Loop;
+  using Loop = JudgedLoop<Pose>;
   using Loops = std::vector<Loop>;
+  // Of loops that are judged together: the newcomer, those that agree with it, those that oppose it.
+  struct Camps {
+    std::size_t first_against = 0;                 // 0: there are no camps
+    std::vector<std::vector<std::size_t>> groups;  // of those that oppose it
+  };
   struct OfSlot {
     char is_loop = 0, is_listed = 0;
     double weight = 1;       // of a loop; the slot's W contains its root
     double judged_chi2 = 0;  // kGnc: of a loop, when it was judged
+    double leverage = 0;     // kGnc: its innovation over its chi2, at most, when it was judged
   };
   struct Parked {
     FactorId id;
@@ -60,22 +77,40 @@ class LoopJudge {
   OfSlot& At(int slot) { return slots_[static_cast<std::size_t>(slot)]; }
   bool Chooses() const { return options_.kernel == RobustKernel::kGnc; }
   void Park(FactorId id, double chi2);
+  bool IsSlip(FactorId id) const { return std::binary_search(slips_.begin(), slips_.end(), id); }
+  double PriceOf(FactorId id) const;  // of being out
+  void Enter(int slot, double weight);
   double WeightOnArrival(Loop& loop, const Map& map) const;
   bool Exchange(const Loops& in, const Loops& out, StepContext<Pose>& step);
   void LogLoops(const Loops& loops, const char* what, const StepContext<Pose>& step) const;
+  void LogScreened(FactorId id, const StepContext<Pose>& step) const;
+  void LogSlip(FactorId odometry, const StepContext<Pose>& step) const;
   bool AdmitLoops(const Loops& loops, StepContext<Pose>& step);
-  void AddContestants(Loops& contest, const Map& map) const;
-  bool Judge(Loops& loops, StepContext<Pose>& step);
-  std::vector<int> TouchedLoops(Map& map);
+  bool AdmitSlip(FactorId newcomer, StepContext<Pose>& step);
+  bool AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step);
+  std::pair<std::size_t, std::size_t> ParkedAround(FactorId id) const;  // positions: the first, behind the last
+  std::vector<int> GroupOf(int slot, const Map& map) const;
+  Camps AddContestants(Loops& contest, const Map& map) const;
+  Contest<B> ContestOf(Loops& loops, const Map& map) const;
+  bool Judge(Loops& loops, const Camps& camps, StepContext<Pose>& step);
+  struct Touched {
+    std::vector<int> loops, odometry;  // slots
+  };
+  Touched TakeTouched(Map& map);
+  std::vector<FactorId> LoopsIn(const Map& map) const;  // ascending
+  bool ReviewOdometry(const std::vector<int>& slots, StepContext<Pose>& step);
   bool ReviewMembers(StepContext<Pose>& step);
   bool ReviewWeights(StepContext<Pose>& step);
-  bool RetryParked(StepContext<Pose>& step);
+  bool RetryParked(std::size_t first, std::size_t last, StepContext<Pose>& step);
   void SetWeight(int slot, double weight, Map& map);
 
   RobustOptions options_;
-  double width_ = 0;            // from the options
-  std::vector<OfSlot> slots_;   // empty without a kernel
-  std::vector<Parked> parked_;  // kGnc: loops that are out, ascending
+  double width_ = 0;             // from the options
+  std::vector<OfSlot> slots_;    // empty without a kernel
+  std::vector<Parked> parked_;   // kGnc: loops that are out, ascending
+  std::size_t next_parked_ = 0;  // of these, to be looked at
+  bool has_evicted_ = false;     // since loops that are out were looked at
+  std::vector<FactorId> slips_;  // kGnc: odometry among what is out, ascending
 };
 
 }  // namespace terse::internal

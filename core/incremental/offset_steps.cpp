@@ -34,8 +34,19 @@ void BackSubstitute(std::optional<std::chrono::steady_clock::time_point> deadlin
   step.relinearization.NoteMoved(map.Solve(threshold, deadline, step.report), map, step.options);
 }
 
-#define TERSE_INSTANTIATE(Pose)                            \
-  template bool OptimizeOffsets(bool, StepContext<Pose>&); \
+template <class Pose>
+bool MoveMap(const std::vector<Pose>& T_world_body, StepContext<Pose>& step) {
+  Gauge<Pose> gauge = step.map.Frame().gauge;
+  if (!step.options.anchor_information) gauge = FindGauge(step.map.Graph(), T_world_body);
+  if (!step.map.MoveTo(T_world_body, gauge)) return false;
+  step.relinearization.ForgetErrors();
+  if (step.options.carry == Carry::kOffset) BackSubstitute(std::nullopt, step);
+  return true;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                        \
+  template bool MoveMap(const std::vector<Pose>&, StepContext<Pose>&); \
+  template bool OptimizeOffsets(bool, StepContext<Pose>&);             \
   template void BackSubstitute(std::optional<std::chrono::steady_clock::time_point>, StepContext<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -31,4 +31,8 @@ void BackSubstitute(std::optional<std::chrono::steady_clock::time_point> deadlin
 template <class Pose>
 bool OptimizePoints(int new_poses, StepContext<Pose>& step);
 
+// All linearisation points. False, and nothing changes, if the Cholesky factor does not take them.
+template <class Pose>
+bool MoveMap(const std::vector<Pose>& T_world_body, StepContext<Pose>& step);
+
 }  // namespace terse::internal

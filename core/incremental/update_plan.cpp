@@ -136,6 +136,27 @@ void FindLoops(const GraphUpdate<Pose>& update, const PoseGraph<Pose>& graph, Up
   }
 }
 
+// Loops that agree with the estimate as it is come in with the update, the others are to be judged.
+template <class Pose>
+void ScreenLoops(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map, const RobustOptions& robust,
+                 UpdatePlan<Pose>& plan) {
+  const int old = static_cast<int>(map.Graph().Poses().size());
+  const double width = WidthOf(robust, Pose::kDof);
+  const auto estimate = [&](PoseId id) {
+    const int v = plan.IndexOf(id, map.Graph());
+    if (v >= old) return plan.new_values[At(v - old)];
+    return plan.moved_points.empty() ? map.EstimateAt(v) : plan.moved_points[At(v)];
+  };
+  plan.waits = plan.is_loop;
+  for (size_t k = 0; k < update.factors.size(); ++k) {
+    if (!plan.IsLoop(k)) continue;
+    const FactorPoses ends = PosesOf(update.factors[k]);
+    const Vector<Pose::kDof> r = SquareRootInformation(update.factors[k]) *
+                                 Residual(update.factors[k], estimate(ends.first), estimate(ends.second));
+    if (RobustWeight(robust.kernel, r.squaredNorm(), width) == 1) plan.waits[k] = 0;
+  }
+}
+
 // New factors, linearised where their poses are.
 template <class Pose>
 void PlanFactors(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map, UpdatePlan<Pose>& plan) {
@@ -147,7 +168,7 @@ void PlanFactors(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& m
     const FactorPoses ends = PosesOf(factor);
     const int first = plan.IndexOf(ends.first, map.Graph()), second = plan.IndexOf(ends.second, map.Graph());
     plan.W.push_back(SquareRootInformation(factor));
-    if (plan.IsLoop(k)) continue;
+    if (plan.Waits(k)) continue;
     plan.changes.added.push_back(Linearize(factor, plan.W.back(), first, second, point(first), point(second)));
   }
   for (size_t k = 0; k < update.poses.size(); ++k) {
@@ -182,7 +203,10 @@ UpdatePlan<Pose> PlanUpdate(const GraphUpdate<Pose>& update, const LinearizedGra
   UpdatePlan<Pose> plan;
   PlanNewPoses(update, map, plan);
   PlanFrame(update, map, options, plan);
-  if (options.robust.kernel != RobustKernel::kNone) FindLoops(update, map.Graph(), plan);
+  if (options.robust.kernel != RobustKernel::kNone) {
+    FindLoops(update, map.Graph(), plan);
+    ScreenLoops(update, map, options.robust, plan);
+  }
   PlanFactors(update, map, plan);
   PlanAnchor(update, map, plan);
   return plan;

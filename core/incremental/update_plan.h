@@ -16,12 +16,14 @@ struct UpdatePlan {
   std::vector<Pose> new_values;  // in the order of update.poses
   typename BlockCholesky<B>::Changes changes;
   std::vector<Matrix<B, B>> W;  // of update.factors
-  std::vector<char> is_loop;    // by update.factors; with a robust kernel, else empty. Loops are not in `changes`
+  std::vector<char> is_loop;    // by update.factors; with a robust kernel, else empty
+  std::vector<char> waits;      // the same: of these those that are to be judged, and are not in `changes`
   bool adds_anchor = false;
   MapFrame<Pose> frame;
   std::vector<Pose> moved_points;  // of the poses that were there, if the map moves as a whole; else empty
 
   bool IsLoop(std::size_t k) const { return !is_loop.empty() && is_loop[k] != 0; }
+  bool Waits(std::size_t k) const { return !waits.empty() && waits[k] != 0; }
   int IndexOf(PoseId id, const PoseGraph<Pose>& graph) const {
     const auto it = new_index.find(id);
     return it != new_index.end() ? it->second : graph.IndexOf(id);

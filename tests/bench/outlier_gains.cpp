@@ -58,7 +58,7 @@ class GainRun {
             in_range(clean_), in_range(contaminated_)};
   }
 
-  const std::set<Pair>& wrong_;
+  const std::set<PosePair>& wrong_;
   const Thresholds<Pose>&clean_, &contaminated_;
   GraphReplay<Pose> replay_;
   IncrementalSolver<Pose> solver_;
@@ -110,7 +110,7 @@ template <class Pose>
 std::string GainRows(const std::string& name, const Contaminated<Pose>& with, const Thresholds<Pose>& clean,
                      const Thresholds<Pose>& contaminated) {
   const LoopValues values = GainRun<Pose>(with, clean, contaminated).Run();
-  const double most = ChiSquareQuantile(kQuantile, Pose::kDof);
+  const double most = ChiSquareQuantile(kInnovationQuantile, Pose::kDof);
   std::string out;
   for (const bool is_wrong : {false, true}) {
     const auto& loops = is_wrong ? values.of_wrong : values.of_true;

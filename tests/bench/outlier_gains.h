@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "outlier_scene.h"
+#include "tables/outlier_scene.h"
 #include "terse/compact/thresholds.h"
 
 namespace terse::bench {

@@ -19,13 +19,9 @@ MapResult MapRuns<Pose>::Batch(const Contaminated<Pose>& with, RobustKernel kern
   const auto result = SolveBatch(with.graph, ComputeInitialValues(with.graph, InitialValues::kCompose), options);
   MapResult out;
   if (result.termination == Termination::kNotPositiveDefinite) out.failure = result.message;
-  Count(
-      with, [&](size_t k, FactorId) { return result.weights.empty() ? 1 : result.weights[k]; }, out);
-  std::vector<RecoveredPose<Pose>> poses;
-  for (size_t k = 0; k < result.T_world_body.size(); ++k) {
-    poses.push_back({with.graph.Poses()[k].id, true, result.T_world_body[k]});
-  }
-  out.ate = Ate(poses);
+  const auto weight = [&](size_t k, FactorId) { return result.weights.empty() ? 1 : result.weights[k]; };
+  Take(CountLoops(with.graph, with.wrong, weight), out);
+  out.ate = Ate(AsTrajectory(with.graph, result.T_world_body));
   return out;
 }
 
@@ -52,7 +48,7 @@ MapResult MapRuns<Pose>::Compact(const Contaminated<Pose>& with, const Threshold
   CompactOptions<Pose> settings;
   settings.strategy = Strategy::kFpfl;
   settings.thresholds = thresholds;
-  settings.innovation_quantile = test ? std::optional<double>(kQuantile) : std::nullopt;
+  settings.innovation_quantile = test ? std::optional<double>(kInnovationQuantile) : std::nullopt;
   settings.consensus = consensus;
   if (gnc) settings.solver.robust = Robust(RobustKernel::kGnc);
   GraphReplay<Pose> replay(with.graph);
@@ -80,29 +76,11 @@ MapResult MapRuns<Pose>::Compact(const Contaminated<Pose>& with, const Threshold
 }
 
 template <class Pose>
-template <class WeightOf>
-void MapRuns<Pose>::Count(const Contaminated<Pose>& with, const WeightOf& weight, MapResult& out) const {
-  out.links = 0;
-  const std::vector<FactorId> loops = LoopFactors(with.graph);
-  size_t k = 0;
-  for (const auto& node : with.graph.Factors()) {
-    if (std::binary_search(loops.begin(), loops.end(), node.id) && weight(k, node.id) >= 0.5) {
-      const FactorPoses ends = PosesOf(node.factor);
-      ++(with.wrong.count(PairOf(ends.first, ends.second)) != 0 ? out.wrong : out.links);
-    }
-    ++k;
-  }
-}
-
-template <class Pose>
 MapResult MapRuns<Pose>::Present(const IncrementalSolver<Pose>& solver, const Contaminated<Pose>& with) const {
   MapResult out;
-  Contaminated<Pose> arrived{with.percent, solver.Graph(), with.wrong};
-  Count(
-      arrived, [&](size_t, FactorId id) { return solver.WeightOf(id); }, out);
-  std::vector<RecoveredPose<Pose>> poses;
-  for (const auto& node : solver.Graph().Poses()) poses.push_back({node.id, true, solver.Estimate(node.id)});
-  out.ate = Ate(poses);
+  const auto weight = [&](size_t, FactorId id) { return solver.WeightOf(id); };
+  Take(CountLoops(solver.Graph(), with.wrong, weight), out);
+  out.ate = Ate(AsTrajectory(solver.Graph(), solver.Estimates()));
   return out;
 }
 

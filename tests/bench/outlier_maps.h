@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "outlier_scene.h"
+#include "tables/outlier_scene.h"
 #include "terse/compact/thresholds.h"
 
 namespace terse::bench {
@@ -21,7 +21,7 @@ struct MapResult {
 template <class Pose>
 class MapRuns {
  public:
-  MapRuns(const Scene<Pose>& scene, int threads) : scene_(scene), threads_(threads) {}
+  MapRuns(const OutlierScene<Pose>& scene, int threads) : scene_(scene), threads_(threads) {}
 
   MapResult Batch(const Contaminated<Pose>& with, RobustKernel kernel) const;
   // After the last step, and after Finish.
@@ -32,14 +32,15 @@ class MapRuns {
  private:
   RobustOptions Robust(RobustKernel kernel) const { return {kernel, scene_.width}; }
   double Ate(const std::vector<RecoveredPose<Pose>>& poses) const {
-    return ComputeErrors(scene_.graph, scene_.reference, poses).ate.translation_m;
+    return ComputeAte(scene_.graph, scene_.reference, poses);
   }
-  // `weight` of the k-th factor.
-  template <class WeightOf>
-  void Count(const Contaminated<Pose>& with, const WeightOf& weight, MapResult& out) const;
+  static void Take(const LoopCounts& loops, MapResult& out) {
+    out.links = loops.true_kept;
+    out.wrong = loops.wrong_kept;
+  }
   MapResult Present(const IncrementalSolver<Pose>& solver, const Contaminated<Pose>& with) const;
 
-  const Scene<Pose>& scene_;
+  const OutlierScene<Pose>& scene_;
   int threads_;
 };
 

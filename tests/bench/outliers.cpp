@@ -53,11 +53,28 @@ void Say(const std::string& what) {
   std::fprintf(stderr, "%7.1f s: %s\n", seconds, what.c_str());
 }
 
+// All information times a factor: the same optimum, another covariance.
+template <class Pose>
+PoseGraph<Pose> Scaled(const PoseGraph<Pose>& graph, double factor) {
+  PoseGraph<Pose> out;
+  for (const auto& pose : graph.Poses()) {
+    out.AddPose(pose.id, pose.T_world_body);
+    out.SetFixed(pose.id, pose.fixed);
+  }
+  for (const auto& node : graph.Factors()) {
+    Factor<Pose> scaled = node.factor;
+    std::visit([&](auto& f) { f.information *= factor; }, scaled);
+    out.AddFactor(scaled);
+  }
+  return out;
+}
+
 template <class Pose>
 class SceneRun {
  public:
   // All information is multiplied by `factor`, after the wrong loops are in.
-  SceneRun(const Scene<Pose>& scene, const Settings& settings, double factor) : scene_(scene), settings_(settings) {
+  SceneRun(const OutlierScene<Pose>& scene, const Settings& settings, double factor)
+      : scene_(scene), settings_(settings) {
     for (const double percent : settings.percents) {
       contaminated_.push_back(scene_.With(percent, settings.seed));
       if (factor != 1) contaminated_.back().graph = Scaled(contaminated_.back().graph, factor);
@@ -65,7 +82,7 @@ class SceneRun {
       SampleOptions options;
       options.strategy = Strategy::kFpfl;
       thresholds_.push_back(SelectThresholds(contaminated_.back().graph, options).thresholds);
-      options.innovation_quantile = kQuantile;
+      options.innovation_quantile = kInnovationQuantile;
       tested_.push_back(SelectThresholds(contaminated_.back().graph, options).thresholds);
     }
   }
@@ -138,7 +155,7 @@ class SceneRun {
     tables.maps += text;
   }
 
-  const Scene<Pose>& scene_;
+  const OutlierScene<Pose>& scene_;
   const Settings& settings_;
   std::vector<Contaminated<Pose>> contaminated_;
   std::vector<Thresholds<Pose>> thresholds_;  // of the graphs as they are
@@ -146,13 +163,10 @@ class SceneRun {
 };
 
 template <class Pose>
-void RunScene(const std::string& name, const PoseGraph<Pose>& graph, const Settings& settings, TablesOfRun& tables) {
-  Scene<Pose> scene{name, 0, graph, {}};
-  if constexpr (Pose::kDim == 2) {
-    if (auto truth = GridTruth(graph)) scene.reference = {ReferenceKind::kGrid, std::move(*truth)};
-  } else {
-    if (auto truth = SphereTruth(graph)) scene.reference = {ReferenceKind::kSphere, std::move(*truth)};
-  }
+void RunScene(const std::string& name, const std::string& path, const PoseGraph<Pose>& graph, const Settings& settings,
+              TablesOfRun& tables) {
+  OutlierScene<Pose> scene{name, 0, graph, {}};
+  scene.reference = FindReference(graph, path, "");
   if (scene.reference.T_world_body.empty()) scene.reference.T_world_body = BatchOptimum(graph).T_world_body;
   const bool is_no_covariance = name == "parking-garage";
   if (is_no_covariance) scene.width = kNarrowWidth;
@@ -194,7 +208,7 @@ int Main(int argc, char** argv) {
       continue;
     }
     const GraphFile read = ReadGraph(*path);
-    std::visit([&](const auto& graph) { RunScene(name, graph, settings, tables); }, read.graph);
+    std::visit([&](const auto& graph) { RunScene(name, *path, graph, settings, tables); }, read.graph);
   }
   std::cout << tables.gains << '\n' << tables.thresholds << '\n' << tables.maps;
   if (!settings.update.empty()) {

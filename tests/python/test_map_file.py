@@ -51,7 +51,7 @@ def write_folder(folder, slam, exported):
 
 
 def test_continues_what_the_command_exported_and_the_command_goes_on(command, files, tmp_path):
-    options = ("--quiet", "--calibrate-information", "off")
+    options = ("--quiet", "--calibrate-information", "off", "--robust", "none")
     command("compact", files[0], "--output", tmp_path / "first", *options)
     slam, decisions, before, after = continued(tmp_path / "first", files[1])
     assert 0 < len(decisions) == slam.poses_seen - len(before)

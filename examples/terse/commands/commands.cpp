@@ -4,6 +4,7 @@
 #include <iostream>
 
 #include "commands/commands.h"
+#include "terse/compact/compact_graph.h"
 #include "terse/core/number_text.h"
 
 namespace terse {
@@ -35,7 +36,7 @@ void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
                       "Clamp the eigenvalues of information matrices that are not positive definite");
 }
 
-void AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {
+CLI::Option* AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {
   CLI::Option* kernel =
       AddChoice(subcommand, "--robust", options.kernel, Choices<RobustKernel>(),
                 "The cost of loops, which may be wrong; gnc leaves the wrong ones out (graduated non-convexity)");
@@ -47,6 +48,19 @@ void AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {
       ->check(PositiveNumber())
       ->needs(kernel)
       ->type_name("X");
+  return kernel;
+}
+
+void AddRobustOptions(CLI::App& subcommand, CompactRobust& robust) {
+  CLI::Option* kernel = AddRobustOptions(subcommand, robust.options);
+  kernel->default_str("gnc, or none with another strategy than bounded");
+  robust.kernel = kernel;
+}
+
+RobustOptions CompactRobust::For(Strategy strategy) const {
+  RobustOptions robust = options;
+  if (kernel == nullptr || kernel->count() == 0) robust.kernel = DefaultKernel(strategy);
+  return robust;
 }
 
 void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile) {

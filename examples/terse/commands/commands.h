@@ -17,6 +17,8 @@
 
 namespace terse {
 
+enum class Strategy;
+
 void AddInfoCommand(CLI::App& app);
 void AddConvertCommand(CLI::App& app);
 void AddEvaluateCommand(CLI::App& app);
@@ -27,7 +29,8 @@ void AddCompactCommand(CLI::App& app);
 void AddOnlineCommand(CLI::App& app);
 void AddCovarianceCommand(CLI::App& app);
 void AddTableCommand(CLI::App& app);
-void AddCompactTable(CLI::App& table);  // a subcommand of table
+void AddCompactTable(CLI::App& table);  // subcommands of table
+void AddOutliersTable(CLI::App& table);
 void AddSweepCommand(CLI::App& app);
 void AddKittiCommand(CLI::App& app);
 void AddReportCommand(CLI::App& app);
@@ -37,7 +40,14 @@ void AddPlotCommand(CLI::App& app);
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
 
 // --robust and --robust-width, for every subcommand that optimises.
-void AddRobustOptions(CLI::App& subcommand, RobustOptions& options);
+CLI::Option* AddRobustOptions(CLI::App& subcommand, RobustOptions& options);
+// The same for a compact map, whose strategy has a kernel of its own (DefaultKernel) unless one is given.
+struct CompactRobust {
+  RobustOptions options{RobustKernel::kGnc};
+  const CLI::Option* kernel = nullptr;
+  RobustOptions For(Strategy strategy) const;
+};
+void AddRobustOptions(CLI::App& subcommand, CompactRobust& robust);
 
 // --innovation-quantile and --no-innovation-test (absent), for every subcommand that tests links.
 void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile);

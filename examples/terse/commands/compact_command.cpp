@@ -45,7 +45,7 @@ struct CompactCommandOptions {
   std::optional<double> innovation_quantile = kInnovationQuantile;
   CompositionOrder composition = CompositionOrder::kFirst;
   AngleMeasure angle = AngleMeasure::kViewDirection;
-  RobustOptions robust;
+  CompactRobust robust;
   std::uint64_t seed = 1;
   Recovery recovery = Recovery::kV2;
   bool calibrate = true;
@@ -76,7 +76,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.distance.angle = from.angle;
   options.composition = from.composition;
   options.innovation_quantile = from.innovation_quantile;
-  options.solver.robust = from.robust;
+  options.solver.robust = from.robust.For(options.strategy);
   options.budget = from.budget;
   options.min_variance_drop = from.min_variance_drop;
   options.retire_share = from.retire_share;

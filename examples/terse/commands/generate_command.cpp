@@ -15,6 +15,7 @@
 #include "terse/core/number_text.h"
 #include "terse/core/outliers.h"
 #include "terse/core/require_optimum.h"
+#include "terse/core/slips.h"
 #include "terse/core/stamped_trajectory.h"
 #include "terse/core/trajectory.h"
 
@@ -22,21 +23,16 @@ namespace terse {
 namespace {
 
 struct GenerateCommandOptions {
-  std::string scene, from, output, ground_truth, outliers_list;
+  std::string scene, from, output, ground_truth, outliers_list, slips_list;
   GenerateOptions generate;
   ReadOptions read;
   bool quiet = false;
 };
 
-const std::vector<std::pair<std::string, OutlierKind>> kOutlierKinds = {{"random", OutlierKind::kRandom},
-                                                                        {"local", OutlierKind::kLocal},
-                                                                        {"grouped", OutlierKind::kGrouped},
-                                                                        {"aliased", OutlierKind::kAliased}};
-
-// The wrong loops as CSV, if asked for.
-class OutliersList {
+// Edges as CSV, if asked for.
+class EdgeList {
  public:
-  explicit OutliersList(const std::string& path) {
+  explicit EdgeList(const std::string& path) {
     if (!path.empty()) file_.emplace(path).Stream() << "from,to\n";
   }
   template <class Pose>
@@ -112,8 +108,8 @@ SE3 Reckon(const SE3& T_world_from, const SE3& T_from_to) {
 
 // Writes each pose and edge as it comes. A vertex gets its dead-reckoned value, as the public sets have it.
 template <class Pose>
-void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ostream* ground_truth,
-            OutliersList& outliers) {
+void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ostream* ground_truth, EdgeList& outliers,
+            EdgeList& slips) {
   Progress progress("generate", options.generate.poses, options.quiet);
   Pose T_world_body_reckoned;
   GenerateSink<Pose> sink;
@@ -140,6 +136,7 @@ void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ost
     graph << EdgeLine(edge);
     outliers.Add(edge);
   };
+  sink.slip = [&](const RelativePoseFactor<Pose>& edge) { slips.Add(edge); };
   Generate(options.generate, sink);
 }
 
@@ -147,14 +144,15 @@ void GenerateScene(const GenerateCommandOptions& options) {
   std::optional<AtomicFile> graph, ground_truth;
   if (!options.output.empty()) graph.emplace(options.output);
   if (!options.ground_truth.empty()) ground_truth.emplace(options.ground_truth);
-  OutliersList outliers(options.outliers_list);
+  EdgeList outliers(options.outliers_list), slips(options.slips_list);
   std::ostream& graph_stream = graph ? graph->Stream() : std::cout;
   std::ostream* ground_truth_stream = ground_truth ? &ground_truth->Stream() : nullptr;
-  IsPlanar(options.generate.scene) ? Stream<SE2>(options, graph_stream, ground_truth_stream, outliers)
-                                   : Stream<SE3>(options, graph_stream, ground_truth_stream, outliers);
+  IsPlanar(options.generate.scene) ? Stream<SE2>(options, graph_stream, ground_truth_stream, outliers, slips)
+                                   : Stream<SE3>(options, graph_stream, ground_truth_stream, outliers, slips);
   graph ? graph->Commit() : FlushOutput();
   if (ground_truth) ground_truth->Commit();
   outliers.Commit();
+  slips.Commit();
 }
 
 // A file has no truth; its optimum, without the wrong loops, is the best known.
@@ -167,17 +165,28 @@ std::vector<Pose> Optimum(const PoseGraph<Pose>& graph) {
 
 template <class Pose>
 void AddToGraph(const PoseGraph<Pose>& graph, const GenerateCommandOptions& options) {
-  OutliersList outliers(options.outliers_list);
-  GraphWithWrongLoops<Pose> out;
+  EdgeList outliers(options.outliers_list), slips(options.slips_list);
+  const GenerateOptions& generate = options.generate;
+  PoseGraph<Pose> out = graph;
+  const auto list = [&](const std::vector<FactorId>& ids, EdgeList& edges) {
+    for (const FactorId id : ids) edges.Add(std::get<RelativePoseFactor<Pose>>(out.FindFactor(id)->factor));
+  };
   AddPathToErrors(options.from, [&] {
-    const GenerateOptions& generate = options.generate;
-    out = AddWrongLoops(graph, Optimum(graph), generate.wrong_loop_percent, generate.seed, generate.wrong_loop_kind);
+    if (generate.wrong_loop_percent > 0 || generate.slips == 0) {
+      auto with =
+          AddWrongLoops(graph, Optimum(graph), generate.wrong_loop_percent, generate.seed, generate.wrong_loop_kind);
+      out = std::move(with.graph);
+      list(with.wrong, outliers);
+    }
+    if (generate.slips > 0) {
+      auto with = AddSlips(out, generate.slips, generate.seed);
+      out = std::move(with.graph);
+      list(with.slipped, slips);
+    }
   });
-  for (const FactorId id : out.wrong) {
-    outliers.Add(std::get<RelativePoseFactor<Pose>>(out.graph.FindFactor(id)->factor));
-  }
-  WriteG2o(out.graph, options.output.empty() ? "/dev/stdout" : options.output);
+  WriteG2o(out, options.output.empty() ? "/dev/stdout" : options.output);
   outliers.Commit();
+  slips.Commit();
 }
 
 // "40x30".
@@ -208,7 +217,8 @@ CLI::Option* AddAreaOption(CLI::App& command, std::optional<std::array<long, 2>>
 void RunGenerate(GenerateCommandOptions options) {
   CheckOutputPaths({{"--output", options.output},
                     {"--ground-truth", options.ground_truth},
-                    {"--outliers-list", options.outliers_list}},
+                    {"--outliers-list", options.outliers_list},
+                    {"--slips-list", options.slips_list}},
                    {{"--from", options.from}});
   if (options.from.empty()) {
     options.generate.scene = SceneFromName(options.scene).value();
@@ -225,7 +235,7 @@ void RunGenerate(GenerateCommandOptions options) {
 void AddGenerateCommand(CLI::App& app) {
   auto options = std::make_shared<GenerateCommandOptions>();
   CLI::App* command = app.add_subcommand(
-      "generate", "Make a synthetic data set with exact ground truth, or add wrong loops to a graph file");
+      "generate", "Make a synthetic data set with exact ground truth, or add wrong loops and slips to a graph file");
   CLI::Option* scene =
       command
           ->add_option("SCENE", options->scene,
@@ -254,19 +264,28 @@ void AddGenerateCommand(CLI::App& app) {
           ->check(CLI::Range(0.0, 1e9).description(""))
           ->type_name("P");
   AddChoice(
-      *command, "--outlier-kind", options->generate.wrong_loop_kind, kOutlierKinds,
+      *command, "--outlier-kind", options->generate.wrong_loop_kind, Choices<OutlierKind>(),
       "Between any two poses, between poses 20 to 50 apart, in runs of 3 to 10 that agree with each other, or with "
       "one place taken for another, 20 times each")
       ->needs(outliers);
   command->add_option("--outliers-list", options->outliers_list, "The wrong loops as CSV: from,to")
       ->needs(outliers)
       ->type_name("FILE");
+  CLI::Option* slips =
+      command
+          ->add_option("--slips", options->generate.slips,
+                       "Let so many odometry edges go wrong, turned by 10 to 60 degrees and displaced by up to five "
+                       "times their length")
+          ->check(CLI::Range(1L, 1000000L).description(""))
+          ->type_name("N");
+  command->add_option("--slips-list", options->slips_list, "The edges that went wrong as CSV: from,to")
+      ->needs(slips)
+      ->type_name("FILE");
   CLI::Option* from =
       command
           ->add_option("--from", options->from,
-                       "Add the wrong loops to this graph (g2o, TORO or iSAM) instead of a scene; the g2o written has "
-                       "its edges in online order")
-          ->needs(outliers)
+                       "Add the wrong loops and slips to this graph (g2o, TORO or iSAM) instead of a scene; the g2o "
+                       "written has its edges in online order")
           ->type_name("FILE");
   for (CLI::Option* of_scenes : {scene, poses, area, laps, ground_truth}) from->excludes(of_scenes);
   AddReadOptions(*command, options->read);
@@ -275,9 +294,11 @@ void AddGenerateCommand(CLI::App& app) {
       "Example: terse generate manhattan --poses 1000 --output city.g2o --ground-truth city.tum &&\n"
       "         terse generate --from city.g2o --outliers 10 --outliers-list wrong.csv --output wrong.g2o");
   AddGenerateStereo(*command);
-  command->callback([command, options] {
+  command->callback([command, options, outliers, slips] {
     if (!command->get_subcommands().empty()) return;  // its own callback did the work
     if (options->scene.empty() && options->from.empty()) throw CLI::RequiredError("SCENE or --from FILE");
+    const bool adds = outliers->count() > 0 || slips->count() > 0;
+    if (!options->from.empty() && !adds) throw CLI::RequiredError("--from: what to add, --outliers P or --slips N");
     RunGenerate(*options);
   });
 }

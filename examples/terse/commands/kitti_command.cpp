@@ -29,6 +29,7 @@ struct KittiCommandOptions {
   std::string path, directory, thresholds, ground_truth, frames, remember = kRememberAll;
   Strategy strategy = StereoCompactOptions().strategy;
   CompactBudget budget;
+  CompactRobust robust;
   double min_variance_drop = 0, retire_share = CompactOptions<SE3>().retire_share;
   Search search = Search::kInformation;
   MotionCovariance covariance = MotionCovariance::kSchur;
@@ -78,6 +79,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.slam.compact.budget = options.budget;
   how.slam.compact.min_variance_drop = options.min_variance_drop;
   how.slam.compact.retire_share = options.retire_share;
+  how.slam.compact.solver.robust = options.robust.For(options.strategy);
   how.slam.compact.most_dropped = MostDropped(options.remember);
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
@@ -139,6 +141,7 @@ void AddKittiCommand(CLI::App& app) {
       ->type_name("FILE");
   AddBudgetOptions(*command, options->budget);
   AddBoundedOptions(*command, options->min_variance_drop, options->retire_share);
+  AddRobustOptions(*command, options->robust);
   AddRememberOption(
       *command, options->remember,
       "Dropped poses that are remembered: so many of the newest, and those on the chains of others; older "

@@ -19,6 +19,7 @@ std::string Escape(const std::string& text) {
     } else {
       if ((out.empty() || out.back() == '\n') && (c == '.' || c == '\'')) out += "\\&";
       out += c;
+      if (c == '|') out += "\\:";  // a line may end here
     }
   }
   return out;
@@ -89,7 +90,7 @@ void AddSubcommand(const CLI::App& subcommand, std::ostream& out) {
 
 std::string ManualPage(const CLI::App& app) {
   std::ostringstream out;
-  out << ".TH TERSE 1 \"\" \"terse " TERSE_VERSION "\" \"User Commands\"\n";
+  out << ".TH TERSE 1 \"\" \"terse " TERSE_VERSION "\" \"User Commands\"\n.ad l\n.nh\n";
   out << ".SH NAME\nterse \\- " << Escape(app.get_description()) << '\n';
   out << ".SH SYNOPSIS\n" << Bold("terse") << ' ' << Italic("SUBCOMMAND") << " [OPTIONS] [ARGUMENTS]\n";
   out << ".SH DESCRIPTION\nSubcommands:\n";

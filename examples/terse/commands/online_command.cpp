@@ -27,7 +27,7 @@ struct OnlineCommandOptions {
   double min_variance_drop = 0, retire_share = CompactOptions<SE3>().retire_share;
   std::string remember;  // a number of dropped poses, "all", or as the journal or the outputs have it
   std::optional<double> innovation_quantile = 0.9999;
-  RobustOptions robust;
+  CompactRobust robust;
   LogSink log;
   OnlineRunOptions run;
 };
@@ -61,7 +61,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   thresholds.min_loop_gain = from.min_loop_gain.value_or(thresholds.min_loop_gain);
   thresholds.min_pose_gain = from.min_pose_gain.value_or(thresholds.min_pose_gain);
   options.innovation_quantile = from.innovation_quantile;
-  options.solver.robust = from.robust;
+  options.solver.robust = from.robust.For(options.strategy);
   options.budget = from.budget;
   options.min_variance_drop = from.min_variance_drop;
   options.retire_share = from.retire_share;
@@ -85,8 +85,8 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   if (settings.most_dropped) json[kMostDropped] = *settings.most_dropped;
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
-  json["robust"] = WordOf(options.robust.kernel);
-  json["robust_width"] = options.robust.width;
+  json["robust"] = WordOf(settings.solver.robust.kernel);
+  json["robust_width"] = settings.solver.robust.width;
   json["rotation_information"] =
       options.run.read.rotation_information == RotationInformation::kRadians ? "radians" : "quaternion";
   json["repair_information"] = options.run.read.repair_information;

@@ -97,23 +97,6 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
   return result;
 }
 
-// Brings poses and weights, which are in order of arrival (`arrived`), into the order that the graph has them in.
-template <class Pose>
-void OrderAsIn(const PoseGraph<Pose>& graph, ArrivalUnit every, const PoseGraph<Pose>& arrived,
-               BatchResult<Pose>& result) {
-  std::vector<Pose> values;
-  for (const auto& node : graph.Poses()) {
-    values.push_back(result.T_world_body[static_cast<std::size_t>(arrived.IndexOf(node.id))]);
-  }
-  result.T_world_body = std::move(values);
-  if (result.weights.empty()) return;
-  const std::vector<double> weights = std::exchange(result.weights, std::vector<double>(graph.Factors().size(), 1.0));
-  auto weight = weights.begin();
-  for (const ArrivalStep& step : ArrivalSteps(graph, every)) {
-    for (const int f : step.factors) result.weights[static_cast<std::size_t>(f)] = *weight++;
-  }
-}
-
 // The graph as it would have come in online; then iterated to its optimum.
 template <class Pose>
 BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
@@ -170,19 +153,26 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
 template <class Pose>
 void AddRobustStats(const PoseGraph<Pose>& graph, const BatchResult<Pose>& result, const RobustOptions& robust,
                     Stats& stats) {
-  nlohmann::ordered_json rejected = nlohmann::ordered_json::array();
+  using Json = nlohmann::ordered_json;
+  Json rejected = Json::array(), slips = Json::array();
+  const std::vector<FactorId> slipped = SlippedOdometry(graph, result.weights);
   std::size_t k = 0;
   for (const auto& node : graph.Factors()) {
     const double weight = result.weights[k];
     const FactorPoses ends = PosesOf(node.factor);
-    if (weight < 0.5) {
-      rejected.push_back({{"factor", k}, {"from", ends.first.value}, {"to", ends.second.value}, {"weight", weight}});
+    const Json edge = {{"factor", k}, {"from", ends.first.value}, {"to", ends.second.value}};
+    if (std::binary_search(slipped.begin(), slipped.end(), node.id)) {
+      slips.push_back(edge);
+    } else if (weight < 0.5) {
+      rejected.push_back(edge);
+      rejected.back()["weight"] = weight;
     }
     ++k;
   }
   stats.more["robust"] = {{"kernel", WordOf(robust.kernel)}, {"width", WidthOf(robust, Pose::kDof)},
                           {"cost", result.robust_cost},      {"loops", LoopFactors(graph).size()},
-                          {"rejected", rejected.size()},     {"loops_rejected", rejected}};
+                          {"rejected", rejected.size()},     {"loops_rejected", rejected},
+                          {"odometry_slips", slips}};
 }
 
 template <class Pose>
@@ -214,6 +204,13 @@ void PrintSummary(const Stats& stats, bool output_taken) {
     const auto& found = stats.more["robust"];
     out << found["rejected"] << " of " << found["loops"] << " loops rejected; cost with "
         << found["kernel"].get<std::string>() << " weights " << found["cost"].get<double>() << '\n';
+  }
+  if (robust && !stats.more["robust"]["odometry_slips"].empty()) {
+    const auto& slips = stats.more["robust"]["odometry_slips"];
+    out << "odometry slips, left out: ";
+    for (std::size_t k = 0; k < slips.size(); ++k)
+      out << (k > 0 ? ", " : "") << slips[k]["from"] << " - " << slips[k]["to"];
+    out << '\n';
   }
   out << (robust ? "chi2 without weights, rejected loops included, " : "chi2 ") << stats.chi2 << ", "
       << stats.termination << " after " << stats.iterations << (stats.iterations == 1 ? " iteration" : " iterations")

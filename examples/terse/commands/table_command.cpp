@@ -208,7 +208,7 @@ void RunIggSpo(const TableOptions& options) {
 }  // namespace
 
 void AddTableCommand(CLI::App& app) {
-  CLI::App* table = app.add_subcommand("table", "Run the tables of a published paper again");
+  CLI::App* table = app.add_subcommand("table", "Run the tables of published papers again");
   table->require_subcommand(1);
   auto options = std::make_shared<TableOptions>();
   CLI::App* command = table->add_subcommand(
@@ -243,6 +243,7 @@ void AddTableCommand(CLI::App& app) {
       "         terse table igg-spo graphs --graphs MIT --policies gni-spo-igg,default --initial file");
   command->callback([options] { RunIggSpo(*options); });
   AddCompactTable(*table);
+  AddOutliersTable(*table);
 }
 
 }  // namespace terse

@@ -82,12 +82,14 @@ std::string Describe(const std::optional<RetiredCounts>& counts) {
 template <class Pose>
 Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const std::optional<Evaluation>& errors) {
   Stats stats;
-  const EdgeCounts kept = CountEdges(run.slam.Solver().Graph());
+  const PoseGraph<Pose> map = MapGraph(run.slam, run.result.T_world_body);
+  const EdgeCounts kept = CountEdges(map);
   stats.poses = static_cast<std::size_t>(run.slam.PosesSeen());
   stats.counts = CountEdges(graph);
   stats.step_seconds = run.step_seconds;
-  stats.chi2 = run.result.chi2;
-  stats.normalized_chi2 = kept.scalars > 0 ? run.result.chi2 / static_cast<double>(kept.scalars) : 0;
+  const bool leaves_out = run.slam.Options().solver.robust.kernel == RobustKernel::kGnc;
+  stats.chi2 = leaves_out ? Chi2(map) : run.result.chi2;
+  stats.normalized_chi2 = kept.scalars > 0 ? stats.chi2 / static_cast<double>(kept.scalars) : 0;
   stats.log_determinant = run.result.log_determinant;
   stats.iterations = run.result.iterations;
   stats.converged = run.result.Converged();

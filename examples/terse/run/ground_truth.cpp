@@ -2,12 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <numeric>
 #include <stdexcept>
 
 #include "terse/compact/graph_replay.h"
+#include "terse/compact/rigid_motions.h"
 #include "terse/core/error.h"
 #include "terse/core/stamped_trajectory.h"
+#include "terse/covariance/marginals.h"
 
 namespace terse {
 namespace {
@@ -39,6 +42,22 @@ bool Agrees(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
 std::vector<SE3> Strided(const std::vector<SE3>& poses, int stride) {
   std::vector<SE3> out;
   for (size_t k = 0; k < poses.size(); k += static_cast<size_t>(stride)) out.push_back(poses[k]);
+  return out;
+}
+
+// In space, in the order of ids.
+template <class Pose>
+std::pair<std::vector<SE3>, std::vector<SE3>> EstimateAndReference(const PoseGraph<Pose>& graph,
+                                                                   const Reference<Pose>& reference,
+                                                                   const std::vector<RecoveredPose<Pose>>& estimate) {
+  std::vector<size_t> order(estimate.size());
+  std::iota(order.begin(), order.end(), size_t{0});
+  std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return estimate[a].id < estimate[b].id; });
+  std::pair<std::vector<SE3>, std::vector<SE3>> out;
+  for (const size_t k : order) {
+    out.first.push_back(InSpace(estimate[k].T_world_body));
+    out.second.push_back(InSpace(reference.T_world_body[static_cast<size_t>(graph.IndexOf(estimate[k].id))]));
+  }
   return out;
 }
 
@@ -135,6 +154,28 @@ std::vector<Pose> ReadTruth(const PoseGraph<Pose>& graph, const std::string& pat
 }
 
 template <class Pose>
+Reference<Pose> FindReference(const PoseGraph<Pose>& graph, const std::string& path, const std::string& folder) {
+  namespace fs = std::filesystem;
+  const std::string stem = fs::path(path).stem().string();
+  const fs::path beside = fs::path(path).replace_extension(".tum");
+  if (fs::exists(beside)) return {ReferenceKind::kFile, ReadTruth(graph, beside.string())};
+  if constexpr (Pose::kDim == 2) {
+    if (auto truth = GridTruth(graph)) return {ReferenceKind::kGrid, std::move(*truth)};
+  } else {
+    if (stem == "sphere2500") {
+      if (auto truth = SphereTruth(graph)) return {ReferenceKind::kSphere, std::move(*truth)};
+    }
+    if (stem == "kitti00_all_loops") {
+      for (const char* place : {"../../kitti/poses/00.txt", "../kitti/poses/00.txt", "kitti/poses/00.txt"}) {
+        const fs::path truth = fs::path(folder) / place;
+        if (fs::exists(truth)) return {ReferenceKind::kFile, ReadTruth(graph, truth.string())};
+      }
+    }
+  }
+  return {};
+}
+
+template <class Pose>
 BatchResult<Pose> BatchOptimum(const PoseGraph<Pose>& graph) {
   BatchResult<Pose> best = SolveBatch(graph);
   if (!best.Converged()) throw NumericalError("no batch optimum to compare with: " + best.message);
@@ -144,14 +185,7 @@ BatchResult<Pose> BatchOptimum(const PoseGraph<Pose>& graph) {
 template <class Pose>
 TrajectoryErrors ComputeErrors(const PoseGraph<Pose>& graph, const Reference<Pose>& reference,
                                const std::vector<RecoveredPose<Pose>>& estimate, std::size_t most_poses) {
-  std::vector<size_t> order(estimate.size());
-  std::iota(order.begin(), order.end(), size_t{0});
-  std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return estimate[a].id < estimate[b].id; });
-  std::vector<SE3> T_estimate, T_reference;
-  for (const size_t k : order) {
-    T_estimate.push_back(InSpace(estimate[k].T_world_body));
-    T_reference.push_back(InSpace(reference.T_world_body[static_cast<size_t>(graph.IndexOf(estimate[k].id))]));
-  }
+  const auto [T_estimate, T_reference] = EstimateAndReference(graph, reference, estimate);
   TrajectoryErrors errors;
   errors.stride = static_cast<int>((estimate.size() + most_poses - 1) / std::max<size_t>(1, most_poses));
   EvaluateOptions how;
@@ -165,11 +199,35 @@ TrajectoryErrors ComputeErrors(const PoseGraph<Pose>& graph, const Reference<Pos
   return errors;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                 \
-  template TruePoses ReadTruePoses<Pose>(std::vector<PoseId>, const std::string&);              \
-  template std::vector<Pose> ReadTruth<Pose>(const PoseGraph<Pose>&, const std::string&);       \
-  template BatchResult<Pose> BatchOptimum<Pose>(const PoseGraph<Pose>&);                        \
-  template TrajectoryErrors ComputeErrors<Pose>(const PoseGraph<Pose>&, const Reference<Pose>&, \
+template <class Pose>
+double ComputeAte(const PoseGraph<Pose>& graph, const Reference<Pose>& reference,
+                  const std::vector<RecoveredPose<Pose>>& estimate) {
+  const auto [T_estimate, T_reference] = EstimateAndReference(graph, reference, estimate);
+  return AbsoluteError(T_estimate, T_reference, Pose::kDim == 2 ? Alignment::kSE2 : Alignment::kSE3);
+}
+
+template <class Pose>
+double ExpectedErrorOf(const PoseGraph<Pose>& graph, BatchResult<Pose> optimum) {
+  const internal::RigidMotions<Pose> motions(optimum.T_world_body);
+  std::vector<PoseId> ids;
+  for (const auto& node : graph.Poses()) ids.push_back(node.id);
+  const Marginals<Pose> marginals(graph, std::move(optimum));
+  double variance = -marginals.Combination(motions.Terms(ids)).trace();
+  for (const auto& Sigma : marginals.AllMarginals()) {
+    variance += Sigma.template topLeftCorner<Pose::kDim, Pose::kDim>().trace();  // body frame: a trace does not care
+  }
+  return std::sqrt(std::max(0.0, variance) / static_cast<double>(ids.size()));
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                                 \
+  template TruePoses ReadTruePoses<Pose>(std::vector<PoseId>, const std::string&);                              \
+  template std::vector<Pose> ReadTruth<Pose>(const PoseGraph<Pose>&, const std::string&);                       \
+  template Reference<Pose> FindReference<Pose>(const PoseGraph<Pose>&, const std::string&, const std::string&); \
+  template double ComputeAte<Pose>(const PoseGraph<Pose>&, const Reference<Pose>&,                              \
+                                   const std::vector<RecoveredPose<Pose>>&);                                    \
+  template double ExpectedErrorOf<Pose>(const PoseGraph<Pose>&, BatchResult<Pose>);                             \
+  template BatchResult<Pose> BatchOptimum<Pose>(const PoseGraph<Pose>&);                                        \
+  template TrajectoryErrors ComputeErrors<Pose>(const PoseGraph<Pose>&, const Reference<Pose>&,                 \
                                                 const std::vector<RecoveredPose<Pose>>&, std::size_t);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

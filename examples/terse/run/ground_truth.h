@@ -42,6 +42,12 @@ TruePoses ReadTruePoses(std::vector<PoseId> ids, const std::string& path);
 template <class Pose>
 std::vector<Pose> ReadTruth(const PoseGraph<Pose>& graph, const std::string& path);
 
+// What is known of a graph file's true poses: a trajectory STEM.tum beside it; else, in 2D, GridTruth; for sphere2500
+// SphereTruth; for kitti00_all_loops kitti/poses/00.txt in `folder` or beside it, one or two folders up. Else kOptimum,
+// without poses yet. Throws what ReadTruth throws.
+template <class Pose>
+Reference<Pose> FindReference(const PoseGraph<Pose>& graph, const std::string& path, const std::string& folder);
+
 // The better of two starts (the values in the file if all are there, chordal), as the file's values lead to a local
 // minimum on some graphs. Throws NumericalError if neither converges.
 template <class Pose>
@@ -57,5 +63,17 @@ struct TrajectoryErrors {
 template <class Pose>
 TrajectoryErrors ComputeErrors(const PoseGraph<Pose>& graph, const Reference<Pose>& reference,
                                const std::vector<RecoveredPose<Pose>>& estimate, std::size_t most_poses = 20000);
+
+// Of these only the ATE, metres, of all poses: O(n).
+template <class Pose>
+double ComputeAte(const PoseGraph<Pose>& graph, const Reference<Pose>& reference,
+                  const std::vector<RecoveredPose<Pose>>& estimate);
+
+// The expected error of an optimum that serves as reference, root mean square of the positions in metres after
+// alignment, to first order: sqrt(V / n), V = tr(P Sigma_pp P) with the gauge's motions taken out by P
+// (compact/aligned_variance.h) and n poses. As good as the information is a covariance. Throws NumericalError if the
+// result has no factor.
+template <class Pose>
+double ExpectedErrorOf(const PoseGraph<Pose>& graph, BatchResult<Pose> optimum);
 
 }  // namespace terse

@@ -24,12 +24,25 @@ std::string Duration(double seconds) {
 }  // namespace
 
 Progress::Progress(const std::string& label, long total, bool quiet)
-    : label_(label), total_(total), enabled_(!quiet && isatty(STDERR_FILENO) == 1), start_(Clock::now()) {
+    : label_(label),
+      total_(total),
+      quiet_(quiet),
+      enabled_(!quiet && isatty(STDERR_FILENO) == 1),
+      start_(Clock::now()) {
   next_ = start_ + std::chrono::milliseconds(200);  // what is over by then needs no line
 }
 
-Progress::~Progress() {
+Progress::~Progress() { Clear(); }
+
+void Progress::Clear() {
   if (drawn_) std::fputs("\r\033[K", stderr);
+  drawn_ = false;
+}
+
+void Progress::Say(const std::string& line) {
+  if (quiet_) return;
+  Clear();
+  std::fprintf(stderr, "%s\n", line.c_str());
 }
 
 void Progress::Update(long done) {

@@ -16,12 +16,16 @@ class Progress {
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
   void Update(long done);
+  // A whole line of text that stays, above the progress line; unless quiet, also where there is no terminal.
+  void Say(const std::string& line);
+  // Takes the line away until the next update, for what goes to standard output.
+  void Clear();
 
  private:
   using Clock = std::chrono::steady_clock;
   std::string label_;
   long total_;
-  bool enabled_;
+  bool quiet_, enabled_;
   bool drawn_ = false;
   Clock::time_point start_, next_;
 };

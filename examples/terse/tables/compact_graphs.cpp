@@ -28,23 +28,6 @@ NamedGraph<Pose> MakeScene(const CompactGraphName& name, const GenerateOptions& 
   return out;
 }
 
-template <class Pose>
-void FindReference(NamedGraph<Pose>& named, const std::string& folder) {
-  if constexpr (Pose::kDim == 2) {
-    if (auto truth = GridTruth(named.graph)) named.reference = {ReferenceKind::kGrid, std::move(*truth)};
-  } else {
-    if (named.is.name == "sphere2500") {
-      if (auto truth = SphereTruth(named.graph)) named.reference = {ReferenceKind::kSphere, std::move(*truth)};
-    }
-    if (named.is.name == "kitti00_all_loops") {
-      for (const char* place : {"../kitti/poses/00.txt", "kitti/poses/00.txt"}) {
-        const std::string path = (fs::path(folder) / place).string();
-        if (fs::exists(path)) named.reference = {ReferenceKind::kFile, ReadTruth(named.graph, path)};
-      }
-    }
-  }
-}
-
 }  // namespace
 
 const std::vector<CompactGraphName>& CompactGraphNames() {
@@ -86,13 +69,13 @@ AnyNamedGraph LoadNamedGraph(const CompactGraphName& name, const std::string& fo
     options.scene = name.name == "ellipse" ? Scene::kEllipse : Scene::kEllipseN;
     return MakeScene<SE3>(name, options);
   }
-  GraphFile file = ReadGraph(FindGraphFile(name, folder));
+  const std::string path = FindGraphFile(name, folder);
+  GraphFile file = ReadGraph(path);
   return std::visit(
       [&](auto& graph) -> AnyNamedGraph {
         using Pose = std::decay_t<decltype(*graph.Poses().front().T_world_body)>;
-        NamedGraph<Pose> named{name, std::move(graph), {}};
-        FindReference(named, folder);
-        return named;
+        Reference<Pose> reference = FindReference(graph, path, folder);
+        return NamedGraph<Pose>{name, std::move(graph), std::move(reference)};
       },
       file.graph);
 }

@@ -50,14 +50,21 @@ template <class Pose>
 CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>& replay,
                             const AfterStep<Pose>& after_step = nullptr);
 
+// What the commands take unless a kernel is asked for: kGnc for kBounded, none for the papers' own strategies.
+RobustKernel DefaultKernel(Strategy strategy);
+
+// The kept map as a graph, at these values by pose index, without what a kernel leaves out.
+template <class Pose>
+PoseGraph<Pose> MapGraph(const CompactPoseSlam<Pose>& slam, const std::vector<Pose>& T_world_body);
+
 // With the options as they are. Throws std::invalid_argument besides if the graph is empty or not connected, or for
 // Strategy::kGiven, whose replay has to be told first (GraphReplay::Choose).
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions<Pose>& options,
                               const AfterStep<Pose>& after_step = nullptr);
-// With thresholds from a sample of the graph (SampleThresholds), all else as CompactOptions has it, and as the command
-// does: information that nobody estimated and that the residuals contradict is scaled first (CalibrateInformation), of
-// which CompactRun::information_scale tells. With the options above nothing is scaled.
+// With thresholds from a sample of the graph (SampleThresholds), the strategy's kernel, all else as CompactOptions has
+// it, and as the command does: information that nobody estimated and that the residuals contradict is scaled first
+// (CalibrateInformation), of which CompactRun::information_scale tells. With the options above nothing is scaled.
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kBounded,
                               const AfterStep<Pose>& after_step = nullptr);

@@ -32,11 +32,13 @@ namespace terse {
 struct RetireOptions {
   double most_loss = 1;     // nats that the removal of one pose may lose; 0 or more
   int most_neighbours = 4;  // that a pose may have which retires; at least 1
-  // With a robust kernel the weight of a loop is its own: poses that loops hang on stay then.
+  // With a robust kernel that weighs loops the weight of a loop is its own: poses that loops hang on stay then.
   bool only_odometry = false;
   // What is new has these ids or, of factors, higher, of parts, lower ones: those between may have been others'.
   FactorId first_factor = {0}, first_part = {-2};
   int least_kept = 0;  // poses, at which it ends
+  // Loops that a kernel leaves out: they say nothing, and the poses that they hang on stay. Ascending.
+  std::vector<FactorId> left_out = {};
 };
 
 template <class Pose>

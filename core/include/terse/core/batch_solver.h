@@ -38,7 +38,10 @@ struct BatchOptions {
   RobustOptions robust;
   // The relative factors that the kernel is for; absent: LoopFactors. The others must hold every pose.
   std::optional<std::vector<FactorId>> robust_factors;
-  // kGnc: false if the initial values are good and only the loops that they contradict are to be left out.
+  // kGnc: false if the initial values are good and only the loops that they contradict are to be left out. Else the
+  // loops are told apart by a replay in order of arrival, as IncrementalSolver does it, whatever the initial values;
+  // where that is not possible, or robust_factors says which they are, by graduation from the initial values. Up to 500
+  // loops by both, the lower cost wins.
   bool graduate = true;
   LogSink log;  // log.h
 };

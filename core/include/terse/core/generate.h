@@ -32,6 +32,7 @@ struct GenerateOptions {
   // Wrong loops (outliers.h) in per cent of the true ones. All else is the same to the last bit with and without.
   double wrong_loop_percent = 0;
   OutlierKind wrong_loop_kind = OutlierKind::kRandom;
+  long slips = 0;  // odometry edges that go wrong (slips.h); all else is the same to the last bit
 };
 
 // Receives the data in online order: pose k, then all its edges to earlier poses (odometry first), then wrong loops.
@@ -40,13 +41,15 @@ struct GenerateSink {
   std::function<void(PoseId id, const Pose& T_world_body_true)> pose;
   std::function<void(const RelativePoseFactor<Pose>& edge)> edge;
   std::function<void(const RelativePoseFactor<Pose>& edge)> wrong_loop;
+  std::function<void(const RelativePoseFactor<Pose>& edge)> slip;  // before the same comes as an edge
 };
 
 // True for the scenes that are planar.
 bool IsPlanar(Scene scene);
 
 // Same options, same data, on every machine. Throws std::invalid_argument for a scene of the other dimension,
-// fewer than two poses, an area of another scene or smaller than one block, and wrong loops that cannot be made.
+// fewer than two poses, an area of another scene or smaller than one block, and wrong loops or slips that cannot be
+// made.
 template <class Pose>
 void Generate(const GenerateOptions& options, const GenerateSink<Pose>& sink);
 

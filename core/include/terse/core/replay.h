@@ -26,4 +26,9 @@ template <class Pose>
 void Replay(const PoseGraph<Pose>& graph, const ReplayOptions& options, IncrementalSolver<Pose>& solver,
             const std::function<bool(const ReplayStep&)>& after_step = nullptr);
 
+// Brings the poses and weights of a result on a graph that was replayed, `arrived`, into the order of the graph.
+template <class Pose>
+void OrderAsIn(const PoseGraph<Pose>& graph, ArrivalUnit every, const PoseGraph<Pose>& arrived,
+               BatchResult<Pose>& result);
+
 }  // namespace terse

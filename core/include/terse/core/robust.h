@@ -17,7 +17,8 @@
 //            convex for mu -> 0 and rho for mu -> infinity (GncWeight, GncCost).
 //
 // Robust are the loops: relative factors other than the one that brings a pose in. Those, odometry as a rule, hold
-// every pose, so that weights of zero leave nothing free. Priors and fixed poses are never robust.
+// every pose, so that weights of zero leave nothing free. kGnc leaves one of them out, too, where loops from several
+// places contradict it in the same way: they hold what came after. Priors and fixed poses are never robust.
 
 #include <string>
 #include <vector>
@@ -58,6 +59,11 @@ double GncStart(double largest_chi2, double width);
 // std::invalid_argument if the graph is not connected.
 template <class Pose>
 std::vector<FactorId> LoopFactors(const PoseGraph<Pose>& graph);
+
+// Those without weight that are no loops, as kGnc leaves odometry out that loops contradict in the same way (a slip);
+// `weights` by position in the graph's factors.
+template <class Pose>
+std::vector<FactorId> SlippedOdometry(const PoseGraph<Pose>& graph, const std::vector<double>& weights);
 
 // A graph with weights, such as those of BatchResult, by position in its factors: the information of relative factors
 // is multiplied by theirs, factors of weight zero are left out. Factors whose weight is not 1 get new ids. No weights:

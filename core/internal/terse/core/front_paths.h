@@ -191,9 +191,10 @@ void SolveOn(const FrontPaths<B>& paths, const std::vector<double>& solution, co
   }
 }
 
-// Z = L^-1 A' of a linear factor, B columns, by front of the paths from its variables to the root; all else is zero.
+// Z = L^-1 A' of a linear factor, B columns and what fills them up to the stride, by front of the paths from its
+// variables to the root; all else is zero.
 template <int B>
-using PathColumns = std::map<int, Eigen::Matrix<double, Eigen::Dynamic, B>>;
+using PathColumns = std::map<int, Eigen::Matrix<double, Eigen::Dynamic, Stride(B), Eigen::RowMajor>>;
 template <int B>
 PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f);
 // a' b.

@@ -7,6 +7,7 @@
 #include "terse/core/arrival.h"
 #include "terse/core/incremental_options.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/outliers.h"
 #include "terse/core/rotation_information.h"
 #include "terse/core/step_report.h"
 
@@ -27,6 +28,8 @@ TERSE_WORDS(RotationInformation, "rotation_information", {"quaternion", Rotation
             {"radians", RotationInformation::kRadians});
 TERSE_WORDS(InitialValues, "initial", {"auto", InitialValues::kAuto}, {"compose", InitialValues::kCompose},
             {"file", InitialValues::kFile}, {"tree", InitialValues::kTree}, {"chordal", InitialValues::kChordal});
+TERSE_WORDS(OutlierKind, "outlier_kind", {"random", OutlierKind::kRandom}, {"local", OutlierKind::kLocal},
+            {"grouped", OutlierKind::kGrouped}, {"aliased", OutlierKind::kAliased});
 TERSE_WORDS(ArrivalUnit, "every", {"pose", ArrivalUnit::kPose}, {"edge", ArrivalUnit::kEdge});
 TERSE_WORDS(RobustKernel, "robust", {"none", RobustKernel::kNone}, {"huber", RobustKernel::kHuber},
             {"cauchy", RobustKernel::kCauchy}, {"tukey", RobustKernel::kTukey}, {"dcs", RobustKernel::kDcs},

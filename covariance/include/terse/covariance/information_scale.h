@@ -42,8 +42,9 @@ struct StatedInformation {
   StatedKind odometry, loops;
   bool same = false;         // both kinds are constant, and the same
   double median_step_m = 0;  // length of the odometry edges (of the loops, if there is none)
-  // Nobody measured this: all identity, or constants with which an odometry edge is uncertain by more than half a step
-  // or half a radian.
+  // An odometry edge (a loop, if there is none) is uncertain by more than half a step or half a radian, by the median.
+  bool IsImplausible() const;
+  // Nobody measured this: all identity, or constants that are implausible.
   bool IsPlaceholder() const;
 };
 

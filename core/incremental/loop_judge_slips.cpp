@@ -1,0 +1,177 @@
+// Slips of the odometry: what LoopJudge makes of slip_search.h.
+
+#include <algorithm>
+#include <set>
+#include <vector>
+
+#include "incremental/loop_judge.h"
+#include "incremental/slip_search.h"
+#include "terse/core/log_message.h"
+
+namespace terse::internal {
+namespace {
+
+using std::size_t;
+
+// Odometry that leads so close to a loop's end may be what the loop contradicts; and by how much more innovation than
+// chi2 it may have if other loops hold what it holds.
+constexpr int kReachOfSlip = 2;
+constexpr double kMostLocalLeverage = 100;
+// By so many loops it has to be the cheaper explanation: two wrong ones at the end of a trajectory can be one as well.
+constexpr double kLeastGainOfSlip = 1.25;
+// Loops, and odometry, that are looked at together.
+constexpr size_t kMostLoops = 12, kMostOdometry = 10;
+
+}  // namespace
+
+template <class Pose>
+void LoopJudge<Pose>::LogSlip(FactorId odometry, const StepContext<Pose>& step) const {
+  const FactorPoses ends = PosesOf(step.map.Graph().FindFactor(odometry)->factor);
+  Log(step.options.log, LogLevel::kWarning, "step ", step.map.Updates(), ": odometry ", ends.first.value, " - ",
+      ends.second.value, " is left out, loops contradict it in the same way");
+}
+
+template <class Pose>
+std::vector<FactorId> LoopJudge<Pose>::LoopsIn(const Map& map) const {
+  std::vector<FactorId> in;
+  for (size_t slot = 0; slot < slots_.size(); ++slot) {
+    if (slots_[slot].is_loop) in.push_back(map.IdAt(static_cast<int>(slot)));
+  }
+  std::sort(in.begin(), in.end());
+  return in;
+}
+
+// kGnc: loops that say together that an odometry edge is wrong come in for it, and the map moves to where it then is.
+template <class Pose>
+bool LoopJudge<Pose>::AdmitSlip(FactorId newcomer, StepContext<Pose>& step) {
+  LinearizedGraph<Pose>& map = step.map;
+  KnownLoops loops{newcomer, {}, [&] { return LoopsIn(map); }};
+  const auto [first, last] = ParkedAround(newcomer);
+  for (size_t k = first; k < last; ++k) loops.out.push_back(parked_[k].id);
+  const std::optional<Slip<Pose>> slip = FindSlip(loops, width_, map);
+  if (!slip) return false;
+  Loops in, out = {Loop(slip->odometry, map)};
+  for (const FactorId id : slip->comes) in.emplace_back(id, map);
+  for (const FactorId id : slip->goes) out.emplace_back(id, map);
+  if (!Exchange(in, out, step)) return false;
+  MoveMap(slip->T_world_body, step);
+  LogSlip(slip->odometry, step);
+  return true;
+}
+
+// kGnc: the same where the poses on both sides are held by other loops: those that contradict the odometry there are
+// few, and what they have in common is a pose that lies wrong.
+template <class Pose>
+bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step) {
+  const Map& map = step.map;
+  const Loop loop(newcomer, map);
+  std::set<int> starts;  // of odometry at one of its ends
+  for (const int v : {loop.linear.first, loop.linear.second}) starts.insert({v - 1, v});
+  std::vector<Loop> others;
+  const auto [first, last] = ParkedAround(newcomer);
+  for (size_t k = first; k < last; ++k) {
+    if (parked_[k].id == newcomer) continue;
+    const FactorPoses ends = PosesOf(map.Graph().FindFactor(parked_[k].id)->factor);
+    const auto touches = [&](PoseId id) {
+      const int v = map.Graph().IndexOf(id);
+      return starts.lower_bound(v - kReachOfSlip) != starts.upper_bound(v + kReachOfSlip);
+    };
+    if (touches(ends.first) || touches(ends.second)) others.emplace_back(parked_[k].id, map);
+  }
+  double at_stake = PriceOf(newcomer);
+  for (const Loop& other : others) at_stake += PriceOf(other.id);
+  if (at_stake <= kSlipPrice * width_ * width_) return false;
+  if (others.size() > kMostLoops) others.erase(others.begin(), others.end() - static_cast<long>(kMostLoops));
+  const std::vector<FactorId> in_map = LoopsIn(map);
+  double lowest = -kLeastGainOfSlip * width_ * width_;
+  Loops comes, goes;
+  for (const int v : starts) {
+    const int slot = OdometrySlot(v, in_map, map);
+    if (slot < 0 || PlacesAcross(v, in_map, map) < kLeastPlaces) continue;
+    Loops contest = {Loop(map.IdAt(slot), map), loop};
+    contest.insert(contest.end(), others.begin(), others.end());
+    Contest<B> without = ContestOf(contest, map);
+    for (size_t k = 2; k < contest.size(); ++k) others[k - 2].z = contest[k].z;
+    without.SetPrice(0, kSlipPrice * width_ * width_);
+    if (without.Leverage(0) > kMostLocalLeverage) without.Flip(1);  // what hangs on nothing else hangs on the loop
+    if (without.Leverage(0) > kMostLocalLeverage || !without.Flip(0)) continue;
+    without.Descend(1, contest.size());
+    if (without.Cost() >= lowest) continue;
+    Loops in;
+    std::vector<FactorId> ids;
+    for (size_t k = 1; k < contest.size(); ++k) {
+      if (without.In()[k] == 0) continue;
+      in.push_back(contest[k]);
+      ids.push_back(contest[k].id);
+    }
+    if (CountPlaces(ids, map) < 2) continue;
+    lowest = without.Cost();
+    comes = in;
+    goes = {contest[0]};
+  }
+  if (goes.empty() || !Exchange(comes, goes, step)) return false;
+  LogSlip(goes[0].id, step);
+  return true;
+}
+
+// kGnc: of the odometry that loops from several places contradict so much that it costs less to leave it out, the worst
+// edge goes. As long as loops on both sides hold what it holds.
+template <class Pose>
+bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>& slots, StepContext<Pose>& step) {
+  const Map& map = step.map;
+  std::vector<std::pair<double, int>> doubtful;
+  for (const int slot : slots) {
+    const LinearFactor<B>& f = map.Cholesky().LinearFactorAt(slot);
+    if (f.second < 0 || std::abs(f.first - f.second) != 1 || map.IdAt(slot).value < 0) continue;
+    const double chi2 = map.LinearResidual(slot).squaredNorm();
+    if (chi2 > width_ * width_) doubtful.emplace_back(-chi2, slot);
+  }
+  if (doubtful.empty()) return false;
+  std::sort(doubtful.begin(), doubtful.end());
+  if (doubtful.size() > kMostOdometry) doubtful.resize(kMostOdometry);
+  double worst = kSlipPrice * width_ * width_;
+  Loops goes;
+  for (const auto& entry : doubtful) {
+    Loop odometry(map.IdAt(entry.second), map);
+    odometry.z = SolveForward(map.Cholesky().Tree(), odometry.linear);
+    const Matrix<B, B> S = Matrix<B, B>::Identity() - Gram<B>(odometry.z, odometry.z);
+    const Eigen::LLT<Matrix<B, B>> llt(S);
+    if (llt.info() != Eigen::Success) continue;
+    const Vector<B> r = map.LinearResidual(entry.second);
+    const double innovation = r.dot(llt.solve(r));
+    if (innovation <= worst) continue;
+    if (PlacesAcross(std::min(odometry.linear.first, odometry.linear.second), LoopsIn(map), map) < kLeastPlaces) {
+      continue;
+    }
+    worst = innovation;
+    goes = {odometry};
+  }
+  if (goes.empty() || !Exchange({}, goes, step)) return false;
+  LogSlip(goes[0].id, step);
+  return true;
+}
+
+// kGnc: all of it.
+template <class Pose>
+bool LoopJudge<Pose>::ReviewAllOdometry(StepContext<Pose>& step) {
+  std::vector<int> slots;
+  for (size_t slot = 0; slot < slots_.size(); ++slot) {
+    if (!slots_[slot].is_loop) slots.push_back(static_cast<int>(slot));
+  }
+  if (!ReviewOdometry(slots, step)) return false;
+  BackSubstitute(std::nullopt, step);
+  return true;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                               \
+  template void LoopJudge<Pose>::LogSlip(FactorId, const StepContext<Pose>&) const;           \
+  template std::vector<FactorId> LoopJudge<Pose>::LoopsIn(const Map&) const;                  \
+  template bool LoopJudge<Pose>::AdmitSlip(FactorId, StepContext<Pose>&);                     \
+  template bool LoopJudge<Pose>::AdmitLocalSlip(FactorId, StepContext<Pose>&);                \
+  template bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>&, StepContext<Pose>&); \
+  template bool LoopJudge<Pose>::ReviewAllOdometry(StepContext<Pose>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse::internal

@@ -1,0 +1,289 @@
+#include "incremental/slip_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <limits>
+
+#include "terse/core/at.h"
+#include "terse/core/front_paths.h"
+#include "terse/core/residual.h"
+#include "terse/core/robust.h"
+
+namespace terse::internal {
+namespace {
+
+using std::size_t;
+
+// Loops are from different places if they are farther from each other than this, in order of arrival, at an end.
+constexpr int kReachOfPlace = 7;
+// A loop may say the same as another if its chi2 falls by this factor, or below what a true one has; so many of them,
+// the closest first, are compared by covariance.
+constexpr double kMuchLess = 9;
+constexpr size_t kMostWitnesses = 30;
+
+// From index `first` to a later one.
+template <class Pose>
+struct Span {
+  FactorId id;
+  int first, last;
+  Pose T_first_last;
+};
+
+template <class Pose>
+std::optional<Span<Pose>> SpanOf(FactorId id, const PoseGraph<Pose>& graph) {
+  const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&graph.FindFactor(id)->factor);
+  if (edge == nullptr) return std::nullopt;
+  const int from = graph.IndexOf(edge->from), to = graph.IndexOf(edge->to);
+  if (from < to) return Span<Pose>{id, from, to, edge->T_from_to};
+  return Span<Pose>{id, to, from, edge->T_from_to.Inverse()};
+}
+
+// kLeastPlaces at most.
+template <class Pose>
+int CountPlaces(const std::vector<Span<Pose>>& spans) {
+  std::vector<Span<Pose>> places;
+  for (const auto& span : spans) {
+    const bool is_new = std::none_of(places.begin(), places.end(), [&](const Span<Pose>& other) {
+      return std::abs(span.first - other.first) <= kReachOfPlace && std::abs(span.last - other.last) <= kReachOfPlace;
+    });
+    if (is_new) places.push_back(span);
+    if (places.size() == At(kLeastPlaces)) break;
+  }
+  return static_cast<int>(places.size());
+}
+
+template <class Pose>
+class Search {
+ public:
+  static constexpr int B = Pose::kDof;
+  using Covariance = Matrix<B, B>;
+  Search(const KnownLoops& loops, double width, const LinearizedGraph<Pose>& map)
+      : loops_(loops), k_(width * width), map_(map) {}
+
+  std::optional<Slip<Pose>> Find() {
+    const std::optional<Span<Pose>> newcomer = SpanOf(loops_.newcomer);
+    if (!newcomer || newcomer->last - newcomer->first < 2) return std::nullopt;
+    correction_ = map_.EstimateAt(newcomer->first) * newcomer->T_first_last * map_.EstimateAt(newcomer->last).Inverse();
+    FindWitnesses(*newcomer);
+    if (Places() < kLeastPlaces) return std::nullopt;
+    const std::optional<Slip<Pose>> slip = Blame();
+    return slip ? Verified(*slip) : std::nullopt;
+  }
+
+ private:
+  std::optional<Span<Pose>> SpanOf(FactorId id) const { return internal::SpanOf(id, map_.Graph()); }
+  double Chi2(FactorId id, const Pose& T_world_first, const Pose& T_world_last) const {
+    const auto& factor = map_.Graph().FindFactor(id)->factor;
+    const FactorPoses ends = PosesOf(factor);
+    const bool is_forward = map_.Graph().IndexOf(ends.first) < map_.Graph().IndexOf(ends.second);
+    return is_forward ? FactorChi2(factor, T_world_first, T_world_last)
+                      : FactorChi2(factor, T_world_last, T_world_first);
+  }
+  double Chi2Corrected(const Span<Pose>& span) const {
+    return Chi2(span.id, map_.EstimateAt(span.first), correction_ * map_.EstimateAt(span.last));
+  }
+
+  // Of a loop's measurement, tangent at its later pose.
+  Covariance CovarianceOf(const Span<Pose>& span) const {
+    const auto& edge = std::get<RelativePoseFactor<Pose>>(map_.Graph().FindFactor(span.id)->factor);
+    const Covariance covariance = edge.information.inverse();
+    if (map_.Graph().IndexOf(edge.from) == span.first) return covariance;
+    const Covariance turn = edge.T_from_to.Adjoint();
+    return turn * covariance * turn.transpose();
+  }
+  // Of the way from one pose to another as the map has it, tangent at the second.
+  Covariance CovarianceOf(int from, int to) const {
+    if (from == to) return Covariance::Zero();
+    const Pose &T_from = map_.Points()[At(from)], &T_to = map_.Points()[At(to)];
+    const RelativePoseFactor<Pose> way{{}, {}, T_from.Inverse() * T_to, Covariance::Identity()};
+    const PathColumns<B> z =
+        SolveForward(map_.Cholesky().Tree(), Linearize<Pose>(way, Covariance::Identity(), from, to, T_from, T_to));
+    return Gram<B>(z, z);
+  }
+
+  // Whether the cycle closes that leads along one loop, to the end of another, back along that and to the first one's
+  // start: the covariances of both loops and of the ways between their ends, none of which crosses the slip.
+  bool Agree(const Span<Pose>& a, const Span<Pose>& b) const {
+    const auto T = [&](int v) { return map_.EstimateAt(v); };
+    const Pose start = T(b.first).Inverse() * T(a.first), end = T(a.last).Inverse() * T(b.last);
+    const Pose T_first_last = start * a.T_first_last * end;
+    const Covariance by_end = end.Inverse().Adjoint(), by_start = T_first_last.Inverse().Adjoint();
+    const Covariance covariance = CovarianceOf(b) + CovarianceOf(a.last, b.last) +
+                                  by_end * CovarianceOf(a) * by_end.transpose() +
+                                  by_start * CovarianceOf(a.first, b.first) * by_start.transpose();
+    const Vector<B> error = b.T_first_last.Local(T_first_last);
+    const Eigen::LLT<Covariance> llt(covariance);
+    return llt.info() == Eigen::Success && error.dot(llt.solve(error)) <= k_;
+  }
+
+  // Loops that the correction explains, across a stretch that as many as possible have in common.
+  void FindWitnesses(const Span<Pose>& newcomer) {
+    std::vector<std::pair<double, Span<Pose>>> close;
+    for (const FactorId id : loops_.out) {
+      const std::optional<Span<Pose>> span = SpanOf(id);
+      if (id == newcomer.id || !span || span->first >= newcomer.last || span->last <= newcomer.first) continue;
+      const double after = Chi2Corrected(*span);
+      if (after <= k_ || after * kMuchLess < map_.Chi2Of(id)) close.emplace_back(after, *span);
+    }
+    TakeWitnesses(newcomer, close);
+    if (Places() < kLeastPlaces) return;
+    std::sort(close.begin(), close.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+    if (close.size() > kMostWitnesses) close.resize(kMostWitnesses);
+    const auto contradicts = [&](const auto& entry) { return !Agree(newcomer, entry.second); };
+    close.erase(std::remove_if(close.begin(), close.end(), contradicts), close.end());
+    TakeWitnesses(newcomer, close);
+  }
+
+  // The stretch, and those of these that cross it.
+  void TakeWitnesses(const Span<Pose>& newcomer, const std::vector<std::pair<double, Span<Pose>>>& spans) {
+    std::vector<std::pair<int, int>> events;  // a span ends before another begins at the same pose
+    for (const auto& [chi2, span] : spans) {
+      events.emplace_back(std::max(span.first, newcomer.first), 1);
+      events.emplace_back(std::min(span.last, newcomer.last), -1);
+    }
+    std::sort(events.begin(), events.end());
+    int open = 0, most = 0, at = newcomer.first;
+    for (const auto& [pose, change] : events) {
+      open += change;
+      if (open > most) most = open, at = pose;
+    }
+    witnesses_ = {newcomer};
+    first_ = newcomer.first;
+    last_ = newcomer.last;
+    for (const auto& [chi2, span] : spans) {
+      if (span.first > at || span.last <= at) continue;
+      witnesses_.push_back(span);
+      first_ = std::max(first_, span.first);
+      last_ = std::min(last_, span.last);
+    }
+  }
+
+  int Places() const { return CountPlaces(witnesses_); }
+
+  // The odometry edge that the fewest loops defend; of these the one that would have to be the least wrong.
+  std::optional<Slip<Pose>> Blame() const {
+    const std::vector<FactorId> in = loops_.in();
+    std::vector<Span<Pose>> defending;
+    std::vector<int> defenders(At(last_ - first_ + 1));
+    for (const FactorId id : in) {
+      const std::optional<Span<Pose>> span = SpanOf(id);
+      if (!span || span->first >= last_ || span->last <= first_ || Chi2Corrected(*span) <= k_) continue;
+      defending.push_back(*span);
+      ++defenders[At(std::max(span->first, first_) - first_)];
+      --defenders[At(std::min(span->last, last_) - first_)];
+    }
+    double least = std::numeric_limits<double>::infinity();
+    int fewest = std::numeric_limits<int>::max(), at = -1, open = 0;
+    std::optional<FactorId> blamed;
+    for (int v = first_; v < last_; ++v) {
+      open += defenders[At(v - first_)];
+      if (open > fewest) continue;
+      const int slot = OdometrySlot(v, in, map_);
+      if (slot < 0) continue;
+      const FactorId odometry = map_.IdAt(slot);
+      const double wrong = Chi2(odometry, map_.EstimateAt(v), correction_ * map_.EstimateAt(v + 1));
+      if (open == fewest && wrong >= least) continue;
+      fewest = open, least = wrong, at = v, blamed = odometry;
+    }
+    if (!blamed || fewest + kSlipPrice >= static_cast<double>(witnesses_.size())) return std::nullopt;
+    Slip<Pose> slip{*blamed, {}, {}, map_.Estimates()};
+    for (const auto& span : witnesses_) slip.comes.push_back(span.id);
+    for (const auto& span : defending) {
+      if (span.first <= at && at < span.last) slip.goes.push_back(span.id);
+    }
+    for (size_t v = At(at) + 1; v < slip.T_world_body.size(); ++v) {
+      slip.T_world_body[v] = correction_ * slip.T_world_body[v];
+    }
+    return slip;
+  }
+
+  // Truncated least squares of the map with or without one odometry edge.
+  double Cost(const std::vector<Pose>& T_world_body, FactorId without) const {
+    const std::vector<FactorId> in = loops_.in();
+    double sum = 0;
+    for (const auto& node : map_.Graph().Factors()) {
+      if (node.id == without) continue;
+      const FactorPoses ends = PosesOf(node.factor);
+      const auto T = [&](PoseId id) -> const Pose& { return T_world_body[At(map_.Graph().IndexOf(id))]; };
+      const double chi2 = FactorChi2(node.factor, T(ends.first), T(ends.second));
+      const bool is_chosen = map_.SlotOf(node.id) < 0 || std::binary_search(in.begin(), in.end(), node.id);
+      sum += is_chosen ? std::min(chi2, k_) : chi2;
+    }
+    return sum;
+  }
+
+  std::optional<Slip<Pose>> Verified(Slip<Pose> slip) const {
+    const auto has = [](const std::vector<FactorId>& ids, FactorId id) {
+      return std::find(ids.begin(), ids.end(), id) != ids.end();
+    };
+    std::vector<double> weights;
+    for (const auto& node : map_.Graph().Factors()) {
+      const bool was_in = map_.SlotOf(node.id) >= 0;
+      const bool is_in = was_in ? node.id != slip.odometry && !has(slip.goes, node.id) : has(slip.comes, node.id);
+      weights.push_back(is_in ? 1 : 0);
+    }
+    const BatchResult<Pose> with = SolveBatch(WithWeights(map_.Graph(), weights), slip.T_world_body, BatchOptions());
+    if (with.termination == Termination::kNotPositiveDefinite) return std::nullopt;
+    const FactorId none;
+    const double before = Cost(map_.Estimates(), none), after = Cost(with.T_world_body, slip.odometry);
+    if (after + kSlipPrice * k_ >= before) return std::nullopt;
+    slip.T_world_body = with.T_world_body;
+    return slip;
+  }
+
+  const KnownLoops& loops_;
+  double k_;
+  const LinearizedGraph<Pose>& map_;
+  Pose correction_;  // of what comes after the slip
+  std::vector<Span<Pose>> witnesses_;
+  int first_ = 0, last_ = 0;  // poses between which all of them say that it is
+};
+
+}  // namespace
+
+template <class Pose>
+std::optional<Slip<Pose>> FindSlip(const KnownLoops& loops, double width, const LinearizedGraph<Pose>& map) {
+  return Search<Pose>(loops, width, map).Find();
+}
+
+template <class Pose>
+int OdometrySlot(int v, const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map) {
+  if (v < 0 || v + 1 >= map.Cholesky().Variables()) return -1;
+  for (const int slot : map.Cholesky().SlotsOf(v)) {
+    const auto& f = map.Cholesky().LinearFactorAt(slot);
+    const bool is_step = std::min(f.first, f.second) == v && std::max(f.first, f.second) == v + 1;
+    if (is_step && !std::binary_search(loops.begin(), loops.end(), map.IdAt(slot))) return slot;
+  }
+  return -1;
+}
+
+template <class Pose>
+int CountPlaces(const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map) {
+  std::vector<Span<Pose>> spans;
+  for (const FactorId id : loops) {
+    if (const auto span = SpanOf(id, map.Graph())) spans.push_back(*span);
+  }
+  return CountPlaces(spans);
+}
+
+template <class Pose>
+int PlacesAcross(int v, const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map) {
+  std::vector<Span<Pose>> across;
+  for (const FactorId id : loops) {
+    const std::optional<Span<Pose>> span = SpanOf(id, map.Graph());
+    if (span && span->first <= v && v < span->last) across.push_back(*span);
+  }
+  return CountPlaces(across);
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                               \
+  template int OdometrySlot(int, const std::vector<FactorId>&, const LinearizedGraph<Pose>&); \
+  template int CountPlaces(const std::vector<FactorId>&, const LinearizedGraph<Pose>&);       \
+  template int PlacesAcross(int, const std::vector<FactorId>&, const LinearizedGraph<Pose>&); \
+  template std::optional<Slip<Pose>> FindSlip(const KnownLoops&, double, const LinearizedGraph<Pose>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse::internal

@@ -1,0 +1,49 @@
+#pragma once
+// Odometry that failed: one edge that many loops contradict in the same way.
+//
+// A loop across a wrong odometry edge says where everything after it ought to be: moved as a whole so that the loop
+// closes. If loops from different places say the same, one odometry edge that all of them cross explains what is
+// otherwise as many wrong loops. No covariance is asked, for none describes a slip; both explanations are compared by
+// truncated least squares at their optima, where an odometry edge that is left out costs as much as kSlipPrice loops.
+
+#include <functional>
+#include <optional>
+#include <vector>
+
+#include "incremental/linearized_graph.h"
+
+namespace terse::internal {
+
+template <class Pose>
+struct Slip {
+  FactorId odometry;               // that is to be left out
+  std::vector<FactorId> comes;     // loops that contradict it
+  std::vector<FactorId> goes;      // loops across it that agree with it
+  std::vector<Pose> T_world_body;  // the optimum then, by pose index
+};
+
+// What a slip costs, in loops left out, and from how many places loops must say that there is one.
+inline constexpr double kSlipPrice = 3;
+inline constexpr int kLeastPlaces = 3;
+
+// Loops as the judge has them: `newcomer` and `out`, which are left out, and those that are in, ascending.
+struct KnownLoops {
+  FactorId newcomer;
+  std::vector<FactorId> out;
+  std::function<std::vector<FactorId>()> in;
+};
+
+template <class Pose>
+std::optional<Slip<Pose>> FindSlip(const KnownLoops& loops, double width, const LinearizedGraph<Pose>& map);
+
+// The slot by which pose v + 1 follows pose v and that is none of these loops, ascending; -1: there is none.
+template <class Pose>
+int OdometrySlot(int v, const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map);
+// From how many places loops are, kLeastPlaces at most.
+template <class Pose>
+int CountPlaces(const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map);
+// Where the loops are from that lead from pose v or before it to pose v + 1 or behind it, kLeastPlaces at most.
+template <class Pose>
+int PlacesAcross(int v, const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map);
+
+}  // namespace terse::internal
