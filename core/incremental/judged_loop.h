@@ -13,19 +13,39 @@ struct JudgedLoop {
   FactorId id;
   int slot;                // -1: out
   Matrix<B, B> W;          // without weight, as the next two
-  LinearFactor<B> linear;  // at the linearisation points
+  LinearFactor<B> linear;  // of one that is in, its linear factor; of one that is out, see below
   Vector<B> residual;      // at the estimate
   double weight = 1;       // that it is to have
   PathColumns<B> z;
 
+  // How a relative pose errs that was composed over a long way, T Exp(d), d normal, holds for large d too; the Jacobian
+  // of a residual that is large does not. So a loop that is out is compared in the exponential chart, with covariances
+  // at the predicted relative pose brought over by the adjoint: from T_from_to^-1 T, e = Log and d e = Ad(Exp(e)) d.
   JudgedLoop(FactorId loop_id, const LinearizedGraph<Pose>& map) : id(loop_id), slot(map.SlotOf(loop_id)) {
     const auto& factor = map.Graph().FindFactor(id)->factor;
     const FactorPoses ends = PosesOf(factor);
     const int a = map.Graph().IndexOf(ends.first), b = map.Graph().IndexOf(ends.second);
     W = SquareRootInformation(factor);
-    linear = Linearize(factor, W, a, b, map.Points()[static_cast<std::size_t>(a)],
-                       map.Points()[static_cast<std::size_t>(b)]);
+    linear = LinearizeAtPoints(map);
     residual = W * Residual(factor, map.EstimateAt(a), map.EstimateAt(b));
+    const auto* relative = std::get_if<RelativePoseFactor<Pose>>(&factor);
+    if (slot >= 0 || relative == nullptr) return;
+    const Pose difference = (map.EstimateAt(a) * relative->T_from_to).Inverse() * map.EstimateAt(b);
+    const auto& points = map.Points();
+    const Pose T_to_from = points[static_cast<std::size_t>(b)].Inverse() * points[static_cast<std::size_t>(a)];
+    linear.A_second = W * difference.Adjoint();
+    linear.A_first = -linear.A_second * T_to_from.Adjoint();
+    residual = W * difference.Log();
+    linear.residual = residual;
+  }
+
+  // As the map takes it in, with all its weight.
+  LinearFactor<B> LinearizeAtPoints(const LinearizedGraph<Pose>& map) const {
+    const auto& factor = map.Graph().FindFactor(id)->factor;
+    const FactorPoses ends = PosesOf(factor);
+    const int a = map.Graph().IndexOf(ends.first), b = map.Graph().IndexOf(ends.second);
+    return Linearize(factor, W, a, b, map.Points()[static_cast<std::size_t>(a)],
+                     map.Points()[static_cast<std::size_t>(b)]);
   }
 };
 

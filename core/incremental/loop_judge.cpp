@@ -90,7 +90,7 @@ template <class Pose>
 bool LoopJudge<Pose>::Exchange(const Loops& in, const Loops& out, StepContext<Pose>& step) {
   std::vector<LinearFactor<B>> comes;
   for (const Loop& loop : in) {
-    LinearFactor<B> f = loop.linear;
+    LinearFactor<B> f = loop.LinearizeAtPoints(step.map);
     const double root = std::sqrt(loop.weight);
     f.A_first *= root;
     f.A_second *= root;
