@@ -21,7 +21,8 @@ auto Place(FactorId factor, Links& links) {
 template <class Pose>
 void KeptLinks<Pose>::TakeOptions(const CompactOptions<Pose>& options) {
   fuses_ = options.strategy == Strategy::kBounded;
-  fuses_odometry_ = fuses_ && options.solver.robust.kernel == RobustKernel::kNone;
+  const RobustKernel kernel = options.solver.robust.kernel;
+  fuses_odometry_ = fuses_ && (kernel == RobustKernel::kNone || kernel == RobustKernel::kGnc);
 }
 
 template <class Pose>

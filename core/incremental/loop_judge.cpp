@@ -346,6 +346,11 @@ bool LoopJudge<Pose>::Judge(Loops& loops, const Camps& camps, StepContext<Pose>&
     const bool was_in = loops[i].slot >= 0, is_in = best.In()[i] != 0;
     if (is_in && !was_in) comes.push_back(loops[i]);
     if (!is_in && was_in) goes.push_back(loops[i]);
+    if (!is_in && !was_in && step.options.log) {
+      const FactorPoses ends = PosesOf(step.map.Graph().FindFactor(loops[i].id)->factor);
+      Log(step.options.log, LogLevel::kDebug, "step ", step.map.Updates(), ": loop ", ends.first.value, " - ",
+          ends.second.value, " stays out, innovation ", best.Innovation(i), " (at most ", PriceOf(loops[i].id), ")");
+    }
     if (is_in && was_in) {
       At(loops[i].slot).judged_chi2 = loops[i].residual.squaredNorm();
       At(loops[i].slot).leverage = best.Leverage(i);
