@@ -20,9 +20,6 @@ using std::size_t;
 // of which each may have had several. Failures are remembered for the steps in which their neighbours come up.
 constexpr size_t kMostRefused = 64, kMostFailed = 256;
 
-// A prediction that knows much less than the link measures agrees with anything: nats per degree of freedom.
-constexpr double kMostVagueness = 1;
-
 template <class Item>
 void KeepNewest(size_t count, std::vector<Item>& items) {
   if (items.size() > count) items.erase(items.begin(), items.end() - static_cast<long>(count));
@@ -44,7 +41,7 @@ bool LinkTests<Pose>::IsBelieved(const CurrentPose<Pose>* current, const Uncerta
     record.outlier = !(*record.innovation <= most_innovation_);
   }
   if (record.outlier && current != nullptr) {
-    record.supported = IsSupported(*current, record.id, measured);
+    record.supported = IsSupported(*current, record.id, known, measured);
     if (!record.supported) refused_.push_back({record.id, current->input->id, measured});
   }
   return !IsRefused(record);
@@ -71,15 +68,16 @@ UncertainPose<Pose> LinkTests<Pose>::FromSeen(PoseId id, const CurrentPose<Pose>
 // Whether enough refused links of other poses predict this one of the pose at hand.
 template <class Pose>
 bool LinkTests<Pose>::IsSupported(const CurrentPose<Pose>& current, PoseId candidate,
-                                  const UncertainPose<Pose>& measured) const {
+                                  const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured) const {
+  // A link to where the map has the pose: who cannot tell it from the one measured agrees with anything.
+  const UncertainPose<Pose> expected{known.T_a_b, measured.covariance};
   std::set<PoseId> supporters;
   for (auto it = refused_.rbegin(); it != refused_.rend(); ++it) {
     if (it->seen == current.input->id || supporters.count(it->seen) != 0) continue;
     const UncertainPose<Pose> T_candidate_seen = Compose(map_.Between(candidate, it->candidate), it->T_candidate_seen);
     const UncertainPose<Pose> predicted = Compose(T_candidate_seen, FromSeen(it->seen, current));
-    const double vagueness = InformationGain<Pose::kDof>(predicted.covariance, measured.covariance);
-    if (vagueness > kMostVagueness * Pose::kDof) continue;
     if (InnovationDistance(predicted, measured) > most_innovation_) continue;
+    if (InnovationDistance(predicted, expected) <= most_innovation_) continue;
     supporters.insert(it->seen);
     if (static_cast<int>(supporters.size()) + 1 >= options_.consensus) return true;
   }

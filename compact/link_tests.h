@@ -55,7 +55,8 @@ class LinkTests {
   template <class Test>
   void EraseIf(const Test& test);  // of PoseId `seen`
   UncertainPose<Pose> FromSeen(PoseId id, const CurrentPose<Pose>& current) const;
-  bool IsSupported(const CurrentPose<Pose>& current, PoseId candidate, const UncertainPose<Pose>& measured) const;
+  bool IsSupported(const CurrentPose<Pose>& current, PoseId candidate, const UncertainPose<Pose>& known,
+                   const UncertainPose<Pose>& measured) const;
   bool AreNeighbours(const Pose& T_world_a, const Pose& T_world_b) const;
 
   const CompactOptions<Pose>& options_;
