@@ -1,9 +1,11 @@
 #include "terse/compact/compact_graph.h"
 
 #include <chrono>
+#include <cmath>
 #include <numeric>
 #include <stdexcept>
 
+#include "terse/core/chi_square.h"
 #include "terse/core/require_optimum.h"
 
 namespace terse {
@@ -54,6 +56,14 @@ RobustKernel DefaultKernel(Strategy strategy) {
 }
 
 template <class Pose>
+RobustOptions MapRobust(RobustOptions given, const CompactOptions<Pose>& options) {
+  if (given.kernel == RobustKernel::kGnc && given.width == 0 && options.innovation_quantile) {
+    given.width = std::sqrt(ChiSquareQuantile(*options.innovation_quantile, Pose::kDof));
+  }
+  return given;
+}
+
+template <class Pose>
 PoseGraph<Pose> MapGraph(const CompactPoseSlam<Pose>& slam, const std::vector<Pose>& T_world_body) {
   PoseGraph<Pose> graph = slam.Solver().Graph().WithPoses(T_world_body);
   for (const auto& node : slam.Solver().Graph().Factors()) {
@@ -76,10 +86,10 @@ template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, const AfterStep<Pose>& after_step) {
   CompactOptions<Pose> options;
   options.strategy = strategy;
-  options.solver.robust.kernel = DefaultKernel(strategy);
   const InformationScale scale = CalibrateInformation(graph).scale;
   const PoseGraph<Pose> scaled = scale.IsOne() ? graph : ScaleInformation(graph, scale);
   if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
+  options.solver.robust = MapRobust({DefaultKernel(strategy)}, options);
   SampleThresholds(scaled, options);
   CompactRun<Pose> run = CompactGraph(scaled, options, after_step);
   run.information_scale = scale;
@@ -102,6 +112,7 @@ SampledThresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOp
   template struct CompactRun<Pose>;                                                                                    \
   template std::vector<Decision> AddPoses<Pose>(CompactPoseSlam<Pose>&, const GraphReplay<Pose>&, const StepWatch&);   \
   template CompactRun<Pose> RunCompact<Pose>(CompactPoseSlam<Pose>, const GraphReplay<Pose>&, const AfterStep<Pose>&); \
+  template RobustOptions MapRobust<Pose>(RobustOptions, const CompactOptions<Pose>&);                                  \
   template PoseGraph<Pose> MapGraph<Pose>(const CompactPoseSlam<Pose>&, const std::vector<Pose>&);                     \
   template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&,                    \
                                                const AfterStep<Pose>&);                                                \

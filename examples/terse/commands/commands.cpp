@@ -54,14 +54,21 @@ CLI::Option* AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {
 void AddRobustOptions(CLI::App& subcommand, CompactRobust& robust) {
   CLI::Option* kernel = AddRobustOptions(subcommand, robust.options);
   kernel->default_str("gnc, or none with another strategy than bounded");
+  subcommand.get_option("--robust-width")
+      ->description(
+          "Where the kernel sets in, in standard deviations: the norm of the whitened residual (by default that of gnc "
+          "is the limit of the innovation test, of the others what one true loop in a hundred exceeds)");
   robust.kernel = kernel;
 }
 
-RobustOptions CompactRobust::For(Strategy strategy) const {
+template <class Pose>
+RobustOptions CompactRobust::For(const CompactOptions<Pose>& map) const {
   RobustOptions robust = options;
-  if (kernel == nullptr || kernel->count() == 0) robust.kernel = DefaultKernel(strategy);
-  return robust;
+  if (kernel == nullptr || kernel->count() == 0) robust.kernel = DefaultKernel(map.strategy);
+  return MapRobust(robust, map);
 }
+template RobustOptions CompactRobust::For(const CompactOptions<SE2>&) const;
+template RobustOptions CompactRobust::For(const CompactOptions<SE3>&) const;
 
 void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile) {
   CLI::Option* option =

@@ -18,6 +18,8 @@
 namespace terse {
 
 enum class Strategy;
+template <class Pose>
+struct CompactOptions;
 
 void AddInfoCommand(CLI::App& app);
 void AddConvertCommand(CLI::App& app);
@@ -41,11 +43,12 @@ void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
 
 // --robust and --robust-width, for every subcommand that optimises.
 CLI::Option* AddRobustOptions(CLI::App& subcommand, RobustOptions& options);
-// The same for a compact map, whose strategy has a kernel of its own (DefaultKernel) unless one is given.
+// The same for a compact map: its strategy has a kernel of its own (DefaultKernel), and gnc a width (MapRobust).
 struct CompactRobust {
   RobustOptions options{RobustKernel::kGnc};
   const CLI::Option* kernel = nullptr;
-  RobustOptions For(Strategy strategy) const;
+  template <class Pose>
+  RobustOptions For(const CompactOptions<Pose>& map) const;
 };
 void AddRobustOptions(CLI::App& subcommand, CompactRobust& robust);
 

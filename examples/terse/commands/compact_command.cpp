@@ -76,7 +76,7 @@ CompactOptions<Pose> MakeOptions(const PoseGraph<Pose>& graph, const GraphReplay
   options.distance.angle = from.angle;
   options.composition = from.composition;
   options.innovation_quantile = from.innovation_quantile;
-  options.solver.robust = from.robust.For(options.strategy);
+  options.solver.robust = from.robust.For(options);
   options.budget = from.budget;
   options.min_variance_drop = from.min_variance_drop;
   options.retire_share = from.retire_share;

@@ -79,7 +79,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.slam.compact.budget = options.budget;
   how.slam.compact.min_variance_drop = options.min_variance_drop;
   how.slam.compact.retire_share = options.retire_share;
-  how.slam.compact.solver.robust = options.robust.For(options.strategy);
+  how.slam.compact.solver.robust = options.robust.For(how.slam.compact);
   how.slam.compact.most_dropped = MostDropped(options.remember);
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;

@@ -61,7 +61,7 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   thresholds.min_loop_gain = from.min_loop_gain.value_or(thresholds.min_loop_gain);
   thresholds.min_pose_gain = from.min_pose_gain.value_or(thresholds.min_pose_gain);
   options.innovation_quantile = from.innovation_quantile;
-  options.solver.robust = from.robust.For(options.strategy);
+  options.solver.robust = from.robust.For(options);
   options.budget = from.budget;
   options.min_variance_drop = from.min_variance_drop;
   options.retire_share = from.retire_share;

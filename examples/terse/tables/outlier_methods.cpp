@@ -84,9 +84,9 @@ class MethodRun {
     const AfterStep<Pose> watch = [this](const CompactPoseSlam<Pose>&, const Decision&, double) { limit_.Check(); };
     CompactOptions<Pose> options;
     options.strategy = method_.strategy.value_or(options.strategy);
-    options.solver.robust = Robust();
     const InformationScale scale = CalibrateInformation(with_.graph).scale;
     if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
+    options.solver.robust = MapRobust(Robust(), options);
     const PoseGraph<Pose> scaled = scale.IsOne() ? with_.graph : ScaleInformation(with_.graph, scale);
     SampleThresholds(scaled, options);
     return CompactGraph(scaled, options, watch);

@@ -53,6 +53,11 @@ CompactRun<Pose> RunCompact(CompactPoseSlam<Pose> slam, const GraphReplay<Pose>&
 // What the commands take unless a kernel is asked for: kGnc for kBounded, none for the papers' own strategies.
 RobustKernel DefaultKernel(Strategy strategy);
 
+// Given, but for the width of kGnc if that is left open: it is the limit of the innovation test, so that a loop that
+// joins the map for that test is not left out at once. Without the test DefaultRobustWidth.
+template <class Pose>
+RobustOptions MapRobust(RobustOptions given, const CompactOptions<Pose>& options);
+
 // The kept map as a graph, at these values by pose index, without what a kernel leaves out.
 template <class Pose>
 PoseGraph<Pose> MapGraph(const CompactPoseSlam<Pose>& slam, const std::vector<Pose>& T_world_body);
