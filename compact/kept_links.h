@@ -60,7 +60,7 @@ class KeptLinks {
 
  private:
   bool fuses_ = false;           // Strategy::kBounded: others may fuse with an edge
-  bool fuses_odometry_ = false;  // what a robust kernel may weigh does not become one with what it may not
+  bool fuses_odometry_ = false;  // not with what a kernel weighs, which odometry is not
   std::vector<Link> links_;      // ascending factors
   // What joins kept poses, so that others can fuse with it; unless fuses_ only edges that came in several parts.
   FusedEdges<Pose> fused_;
