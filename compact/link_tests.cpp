@@ -67,8 +67,8 @@ UncertainPose<Pose> LinkTests<Pose>::FromSeen(PoseId id, const CurrentPose<Pose>
 
 // Whether enough refused links of other poses predict this one of the pose at hand.
 template <class Pose>
-bool LinkTests<Pose>::IsSupported(const CurrentPose<Pose>& current, PoseId candidate,
-                                  const UncertainPose<Pose>& known, const UncertainPose<Pose>& measured) const {
+bool LinkTests<Pose>::IsSupported(const CurrentPose<Pose>& current, PoseId candidate, const UncertainPose<Pose>& known,
+                                  const UncertainPose<Pose>& measured) const {
   // A link to where the map has the pose: who cannot tell it from the one measured agrees with anything.
   const UncertainPose<Pose> expected{known.T_a_b, measured.covariance};
   std::set<PoseId> supporters;

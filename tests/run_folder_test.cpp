@@ -532,7 +532,8 @@ TEST_F(RunFolder, BadGraphsAreNamedAndLeaveNothing) {
 // The figures of stats.json, counted in graph.json, and in the words of the summary; and what a reader makes of them.
 TEST_F(RunFolder, OfABoundedMap) {
   Succeed("generate ellipse-n --laps 4 --output in.g2o");
-  const std::string summary = Succeed("compact in.g2o --strategy bounded --retire-share 0 --robust none --output out").out;
+  const std::string summary =
+      Succeed("compact in.g2o --strategy bounded --retire-share 0 --robust none --output out").out;
   const json graph = JsonFile("out/graph.json"), stats = JsonFile("out/stats.json");
   long anchored = 0, edges = 0, measurements = 0, fused = 0;
   for (const json& pose : graph["poses"]) anchored += pose.contains("anchored_to");
