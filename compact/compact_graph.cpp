@@ -1,11 +1,9 @@
 #include "terse/compact/compact_graph.h"
 
 #include <chrono>
-#include <cmath>
 #include <numeric>
 #include <stdexcept>
 
-#include "terse/core/chi_square.h"
 #include "terse/core/require_optimum.h"
 
 namespace terse {
@@ -58,7 +56,7 @@ RobustKernel DefaultKernel(Strategy strategy) {
 template <class Pose>
 RobustOptions MapRobust(RobustOptions given, const CompactOptions<Pose>& options) {
   if (given.kernel == RobustKernel::kGnc && given.width == 0 && options.innovation_quantile) {
-    given.width = std::sqrt(ChiSquareQuantile(*options.innovation_quantile, Pose::kDof));
+    given.quantile = *options.innovation_quantile;
   }
   return given;
 }

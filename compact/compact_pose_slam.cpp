@@ -1,5 +1,6 @@
 #include "terse/compact/compact_pose_slam.h"
 
+#include <cmath>
 #include <stdexcept>
 
 #include "bounded_step.h"
@@ -66,6 +67,7 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   } catch (...) {
     if (current.in_solver) {
       internal::Remember(current, parts.history);
+      parts.tests.TakeIn();
     } else {
       parts.tests.ForgetNewest(input.id);
     }
@@ -75,7 +77,8 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   internal::FollowBudget(current, decision, counts_loops ? &seen : nullptr, parts);
   decision.retired = internal::RetireIfDue(parts);
   if (parts.options.most_dropped) parts.history.Forget(*parts.options.most_dropped);
-  parts.tests.DropOldest();
+  parts.tests.TakeIn();
+  parts.map.LimitRobustWidth(std::sqrt(parts.tests.MostInnovation()));
   internal::LogVerdict(decision, parts);
   return decision;
 }

@@ -34,6 +34,7 @@ class KeptMap {
   // NumericalError, and changes nothing, if it has none.
   StepReport Restore(const GraphUpdate<Pose>& update, const std::vector<Pose>& T_world_body);
 
+  void LimitRobustWidth(double width) { solver_.LimitRobustWidth(width); }
   void SetLog(LogSink log) { solver_.SetLog(std::move(log)); }
   template <class Archive>
   void Serialize(Archive& archive);

@@ -29,8 +29,9 @@ void KeepNewest(size_t count, std::vector<Item>& items) {
 
 template <class Pose>
 void LinkTests<Pose>::TakeOptions() {
-  most_innovation_ = options_.innovation_quantile ? ChiSquareQuantile(*options_.innovation_quantile, Pose::kDof)
-                                                  : std::numeric_limits<double>::infinity();
+  stated_innovation_ = options_.innovation_quantile ? ChiSquareQuantile(*options_.innovation_quantile, Pose::kDof)
+                                                    : std::numeric_limits<double>::infinity();
+  most_innovation_ = options_.innovation_quantile ? scale_.Limit(stated_innovation_, Pose::kDof) : stated_innovation_;
 }
 
 template <class Pose>
@@ -39,6 +40,8 @@ bool LinkTests<Pose>::IsBelieved(const CurrentPose<Pose>* current, const Uncerta
   if (options_.innovation_quantile) {
     record.innovation = InnovationDistance(known, measured);
     record.outlier = !(*record.innovation <= most_innovation_);
+    // What the stated covariances allow counts, also if it is refused (innovation_scale.h).
+    if (current != nullptr && *record.innovation <= stated_innovation_) noted_.push_back(*record.innovation);
   }
   if (record.outlier && current != nullptr) {
     record.supported = IsSupported(*current, record.id, known, measured);
@@ -111,7 +114,10 @@ bool LinkTests<Pose>::IsNearFailed(const std::vector<Failed>& failed, PoseId can
 }
 
 template <class Pose>
-void LinkTests<Pose>::DropOldest() {
+void LinkTests<Pose>::TakeIn() {
+  for (const double innovation : noted_) scale_.Add(innovation);
+  noted_.clear();
+  TakeOptions();
   KeepNewest(kMostRefused, refused_);
   KeepNewest(kMostFailed, failed_);
   EraseIf([&](PoseId seen) { return history_.IsForgotten(seen); });
@@ -119,6 +125,7 @@ void LinkTests<Pose>::DropOldest() {
 
 template <class Pose>
 void LinkTests<Pose>::ForgetNewest(PoseId newest) {
+  noted_.clear();
   EraseIf([&](PoseId seen) { return seen == newest; });
 }
 
@@ -145,7 +152,9 @@ void LinkTests<Pose>::Restore(const CompactMap<Pose>& map) {
 template <class Pose>
 template <class Archive>
 void LinkTests<Pose>::Serialize(Archive& archive) {
-  auto& [options, map, history, most_innovation, all_refused, all_failed] = *this;  // the first four are not stored
+  auto& [options, map, history, stated_innovation, most_innovation, scale, noted, all_refused, all_failed] = *this;
+  archive(scale);  // what is before it is of the whole, or follows; `noted` is empty between poses
+  if constexpr (Archive::kReads) TakeOptions();
   archive.Each(all_refused, [&](Refused& link) {
     auto& [candidate, seen, T_candidate_seen] = link;
     archive(candidate, seen, T_candidate_seen);

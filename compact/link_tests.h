@@ -9,6 +9,7 @@
 #include "current_pose.h"
 #include "kept_map.h"
 #include "terse/compact/decision.h"
+#include "terse/core/innovation_scale.h"
 
 namespace terse::internal {
 
@@ -26,6 +27,8 @@ class LinkTests {
       : options_(options), map_(map), history_(history) {}
   // The options have changed.
   void TakeOptions();
+  // The limit: that of the quantile, or lower where links agree much better than their covariances say
+  // (innovation_scale.h). Infinite without the test.
   double MostInnovation() const { return most_innovation_; }
 
   // Whether a registered link agrees with the map: between record.id and the pose at hand, or two poses seen before
@@ -40,8 +43,9 @@ class LinkTests {
   std::vector<Failed> FailedNear(const CurrentPose<Pose>& current) const;
   bool IsNearFailed(const std::vector<Failed>& failed, PoseId candidate) const;
 
-  // After a pose: as many as are kept, and none of poses that are forgotten. And those of one that did not come in.
-  void DropOldest();
+  // After a pose: its innovations count, as many links as are kept stay, and none of poses that are forgotten. And
+  // nothing stays of a pose that did not come in.
+  void TakeIn();
   void ForgetNewest(PoseId seen);
 
   void Export(CompactMap<Pose>& map) const;
@@ -62,7 +66,9 @@ class LinkTests {
   const CompactOptions<Pose>& options_;
   const KeptMap<Pose>& map_;
   const PoseHistory<Pose>& history_;
-  double most_innovation_ = 0;  // infinite without the test
+  double stated_innovation_ = 0, most_innovation_ = 0;  // the limit of the quantile, and as it is
+  InnovationScale scale_;
+  std::vector<double> noted_;  // innovations of the pose at hand, which count when it is in; else empty
   // The last ones, oldest first: candidates are kept poses, those at which they were tried seen ones.
   std::vector<Refused> refused_;
   std::vector<Failed> failed_;

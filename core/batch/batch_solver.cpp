@@ -66,6 +66,7 @@ class Run {
       if (!singular_) Iterate();
     }
     result_.robust_cost = problem_.IsRobust() ? problem_.RobustCost(result_.T_world_body) : result_.chi2;
+    if (problem_.IsRobust()) result_.robust_width = problem_.Width();
     if (problem_.IsRobust()) result_.weights = problem_.WeightsAt(result_.T_world_body);
     Log(options_.log, result_.Converged() ? LogLevel::kInfo : LogLevel::kWarning, "batch: ", Name(result_.termination),
         " after ", result_.iterations, " iterations, chi2 ", result_.chi2, ": ", result_.message);
@@ -335,12 +336,17 @@ BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pos
   BatchOptions from_there = options;
   from_there.graduate = !selected;
   if (is_stopped) from_there.progress = [](int, double) { return false; };
-  if (selected) from_there.robust_factors = selected->robust_factors;
+  if (selected) {
+    from_there.robust_factors = selected->robust_factors;
+    from_there.robust.width = selected->width;
+  }
   BatchResult<Pose> result = Run<Pose>(graph, selected ? selected->T_world_body : initial, from_there).Execute();
   // With all loops at once the factor fills up: only where that costs little.
   const bool tries_both = selected && !is_stopped && LoopFactors(graph).size() <= kMostGraduated;
   if (!tries_both) return result;
-  BatchResult<Pose> graduated = Run<Pose>(graph, initial, options).Execute();
+  BatchOptions anew = options;
+  anew.robust.width = selected->width;  // of one width, for costs of different ones are not comparable
+  BatchResult<Pose> graduated = Run<Pose>(graph, initial, anew).Execute();
   return graduated.robust_cost < result.robust_cost * (1 - 1e-9) ? std::move(graduated) : std::move(result);
 }
 

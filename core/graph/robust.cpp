@@ -19,16 +19,16 @@ double Square(double x) { return x * x; }
 std::string FindDefect(const RobustOptions& options) {
   if (!std::isfinite(options.width) || options.width < 0) return "the robust width must not be negative";
   if (!std::isfinite(options.gnc_step) || options.gnc_step <= 1) return "the step of mu must be above 1";
+  if (!(options.quantile > 0 && options.quantile < 1)) return "the quantile of the width must be between 0 and 1";
   return "";
 }
 
-double DefaultRobustWidth(RobustKernel kernel, int dimension) {
-  const double k = ChiSquareQuantile(0.99, dimension);
-  return std::sqrt(kernel == RobustKernel::kTukey ? 3 * k : k);
-}
+double DefaultRobustWidth(RobustKernel kernel, int dimension) { return WidthOf({kernel}, dimension); }
 
 double WidthOf(const RobustOptions& options, int dimension) {
-  return options.width > 0 ? options.width : DefaultRobustWidth(options.kernel, dimension);
+  if (options.width > 0) return options.width;
+  const double k = ChiSquareQuantile(options.quantile, dimension);
+  return std::sqrt(options.kernel == RobustKernel::kTukey ? 3 * k : k);
 }
 
 double RobustCost(RobustKernel kernel, double chi2, double width) {

@@ -98,12 +98,12 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   internal::UpdatePlan<Pose> plan;
   {
     ScopedTimer timer(map.Seconds().linearise);
-    plan = internal::PlanUpdate(update, map, options_);
+    plan = internal::PlanUpdate(update, map, options_, judge.Width());
   }
   const auto before = internal::UpdateGate<Pose>::Look(map);
   const double minimum_before = map.MinimumCost();
   parts_->Add(update, plan, options_, report);
-  judge.Admit(plan, step);
+  judge.Admit(plan, map.MinimumCost() - minimum_before, step);
   const double minimum_after = map.MinimumCost();
   gate.Decide({update, plan, before, is_deferred}, step);
   const bool report_cost = options_.report_cost && options_.carry == Carry::kOffset;
@@ -305,8 +305,13 @@ int IncrementalSolver<Pose>::Restarts() const {
   return static_cast<int>(parts_->watch.Restarts());
 }
 template <class Pose>
+void IncrementalSolver<Pose>::LimitRobustWidth(double width) {
+  parts_->judge.LimitWidth(width);
+}
+template <class Pose>
 void IncrementalSolver<Pose>::CountOnFrom(const IncrementalSolver& earlier) {
   parts_->watch.CountRestarts(earlier.parts_->watch.Restarts());
+  parts_->judge.LearnFrom(earlier.parts_->judge);
   PhaseSeconds& seconds = parts_->map.Seconds();
   const PhaseSeconds& before = earlier.Seconds();
   seconds.order += before.order;

@@ -16,6 +16,7 @@ struct JudgedLoop {
   LinearFactor<B> linear;  // of one that is in, its linear factor; of one that is out, see below
   Vector<B> residual;      // at the estimate
   double weight = 1;       // that it is to have
+  bool is_new = false;     // its innovation has not been noted
   PathColumns<B> z;
 
   // How a relative pose errs that was composed over a long way, T Exp(d), d normal, holds for large d too; the Jacobian

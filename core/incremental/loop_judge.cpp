@@ -45,7 +45,9 @@ constexpr double kUnknownLeverage = 4;
 
 template <class Pose>
 LoopJudge<Pose>::LoopJudge(const RobustOptions& options) : options_(options) {
-  if (IsActive()) width_ = WidthOf(options, B);
+  if (!IsActive()) return;
+  const double width = WidthOf(options, B);
+  limit_ = stated_limit_ = outer_limit_ = reviewed_limit_ = width * width;
 }
 
 template <class Pose>
@@ -73,14 +75,14 @@ void LoopJudge<Pose>::Enter(int slot, double weight) {
 template <class Pose>
 double LoopJudge<Pose>::WeightOnArrival(Loop& loop, const Map& map) const {
   const RobustKernel kernel = options_.kernel;
-  double weight = RobustWeight(kernel, loop.residual.squaredNorm(), width_);
+  double weight = RobustWeight(kernel, loop.residual.squaredNorm(), Width());
   if (weight == 1) return weight;
   loop.z = SolveForward(map.Cholesky().Tree(), loop.linear);
   const Matrix<B, B> P = Gram<B>(loop.z, loop.z), I = Matrix<B, B>::Identity();
-  weight = RobustWeight(kernel, loop.residual.dot((I + P).llt().solve(loop.residual)), width_);
+  weight = RobustWeight(kernel, loop.residual.dot((I + P).llt().solve(loop.residual)), Width());
   for (int k = 0; k < 20; ++k) {
     const Vector<B> r = (I + weight * P).llt().solve(loop.residual);
-    weight = RobustWeight(kernel, r.squaredNorm(), width_);
+    weight = RobustWeight(kernel, r.squaredNorm(), Width());
   }
   return weight;
 }
@@ -132,7 +134,7 @@ void LoopJudge<Pose>::LogLoops(const Loops& loops, const char* what, const StepC
     const double weight = slot >= 0 ? slots_[static_cast<size_t>(slot)].weight : loop.weight;
     Log(step.options.log, weight < 1 || slot >= 0 ? LogLevel::kInfo : LogLevel::kDebug, "step ", step.map.Updates(),
         ": loop ", ends.first.value, " - ", ends.second.value, " is ", what, weight, ", chi2 ",
-        loop.residual.squaredNorm(), " (width^2 ", width_ * width_, ")");
+        loop.residual.squaredNorm(), " (width^2 ", limit_, ")");
   }
 }
 
@@ -156,7 +158,7 @@ void LoopJudge<Pose>::Park(FactorId id, double chi2) {
 
 template <class Pose>
 double LoopJudge<Pose>::PriceOf(FactorId id) const {
-  return (IsSlip(id) ? kSlipPrice : 1) * width_ * width_;
+  return (IsSlip(id) ? kSlipPrice : 1) * limit_;
 }
 
 template <class Pose>
@@ -168,19 +170,46 @@ void LoopJudge<Pose>::Unpark(FactorId id) {
 }
 
 template <class Pose>
-void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, StepContext<Pose>& step) {
+void LoopJudge<Pose>::LearnFrom(const LoopJudge& earlier) {
+  if (!Adapts()) return;
+  scale_ = earlier.scale_;
+  outer_limit_ = earlier.outer_limit_;
+  SetLimit();
+}
+
+template <class Pose>
+void LoopJudge<Pose>::LimitWidth(double width) {
+  if (!Adapts()) return;
+  outer_limit_ = std::min(width * width, stated_limit_);
+  SetLimit();
+}
+
+// The limit is that of what was learned so far.
+template <class Pose>
+void LoopJudge<Pose>::NoteInnovation(double innovation, int count) {
+  if (!Adapts() || !(innovation <= stated_limit_)) return;
+  scale_.Add(innovation, count);
+  SetLimit();
+}
+
+template <class Pose>
+void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, double increase, StepContext<Pose>& step) {
   Loops loops;
+  int screened = 0;
   for (size_t k = 0; k < plan.is_loop.size(); ++k) {
     if (!plan.IsLoop(k)) continue;
     const FactorId id = step.report.factor_ids[k];
     if (!plan.Waits(k)) {
       Enter(step.map.SlotOf(id), 1);
+      ++screened;
       if (step.options.log) LogScreened(id, step);
       continue;
     }
     Park(id, std::numeric_limits<double>::infinity());
     loops.emplace_back(id, step.map);
+    loops.back().is_new = true;
   }
+  if (screened > 0 && plan.BringsLoopsOnly()) NoteInnovation(std::max(increase, 0.0) / screened, screened);
   if (loops.empty()) return;
   if (Chooses()) {
     AdmitLoops(loops, step);
@@ -243,7 +272,7 @@ typename LoopJudge<Pose>::Camps LoopJudge<Pose>::AddContestants(Loops& contest, 
       const double now = other.residual.squaredNorm(), after = (other.residual - moved(other.linear)).squaredNorm();
       if (after * kNews >= now) continue;
       along.emplace_back(after, other.id);
-      if (AreNear(loop.linear, other.linear) || after <= width_ * width_) ++mates;
+      if (AreNear(loop.linear, other.linear) || after <= limit_) ++mates;
     }
   };
   const auto [first_around, behind_around] = ParkedAround(loop.id);
@@ -312,7 +341,7 @@ auto LoopJudge<Pose>::ContestOf(Loops& loops, const Map& map) const -> Contest<B
       if (j < i) P.block<B, B>(j * B, i * B) = P.block<B, B>(i * B, j * B).transpose();
     }
   }
-  Contest<B> contest(std::move(r), std::move(P), std::move(in), width_);
+  Contest<B> contest(std::move(r), std::move(P), std::move(in), Width());
   for (size_t i = 0; i < loops.size(); ++i) contest.SetPrice(i, PriceOf(loops[i].id));
   return contest;
 }
@@ -321,11 +350,14 @@ auto LoopJudge<Pose>::ContestOf(Loops& loops, const Map& map) const -> Contest<B
 template <class Pose>
 bool LoopJudge<Pose>::Judge(Loops& loops, const Camps& camps, StepContext<Pose>& step) {
   const Contest<B> start = ContestOf(loops, step.map);
+  for (size_t i = 0; i < loops.size(); ++i) {
+    if (std::exchange(loops[i].is_new, false)) NoteInnovation(start.Innovation(i), 1);
+  }
   Contest<B> best = start;
   best.Descend();
   const auto offer = [&](Contest<B>& other) {
     other.Descend();
-    if (other.Cost() < best.Cost() - 1e-6 * width_ * width_) best = std::move(other);
+    if (other.Cost() < best.Cost() - 1e-6 * limit_) best = std::move(other);
   };
   if (camps.first_against > 0) {
     // The newcomer in and who agrees with it; then those that oppose them go, by groups and one by one.
@@ -379,15 +411,36 @@ typename LoopJudge<Pose>::Touched LoopJudge<Pose>::TakeTouched(Map& map) {
   return touched;
 }
 
+// Loops that came in when the width was twice what it is may not be in now.
+template <class Pose>
+void LoopJudge<Pose>::DoubtAllIfNarrower() {
+  reviewed_limit_ = std::max(reviewed_limit_, limit_);
+  if (limit_ * kNews * kNews > reviewed_limit_) return;
+  reviewed_limit_ = limit_;
+  doubts_all_ = true;
+  for (OfSlot& slot : slots_) {
+    slot.judged_chi2 = 0;
+    slot.leverage = kUnknownLeverage;
+  }
+}
+
 // kGnc: loops that are in although the estimate contradicts them.
 template <class Pose>
 bool LoopJudge<Pose>::ReviewMembers(StepContext<Pose>& step) {
   std::vector<std::pair<double, int>> doubtful;
-  const Touched touched = TakeTouched(step.map);
+  Touched touched = TakeTouched(step.map);
+  DoubtAllIfNarrower();
+  if (doubts_all_) {
+    touched.loops.clear();
+    for (size_t slot = 0; slot < slots_.size(); ++slot) {
+      if (slots_[slot].is_loop) touched.loops.push_back(static_cast<int>(slot));
+    }
+  }
   for (const int slot : touched.loops) {
     const double chi2 = step.map.LinearResidual(slot).squaredNorm(), innovation = chi2 * At(slot).leverage;
-    if (innovation > width_ * width_ && chi2 > kNews * At(slot).judged_chi2) doubtful.emplace_back(-innovation, slot);
+    if (innovation > limit_ && chi2 > kNews * At(slot).judged_chi2) doubtful.emplace_back(-innovation, slot);
   }
+  doubts_all_ = doubts_all_ && doubtful.size() > kMostJudged;
   if (doubtful.empty()) return step.options.carry == Carry::kOffset && ReviewOdometry(touched.odometry, step);
   std::sort(doubtful.begin(), doubtful.end());
   if (doubtful.size() > kMostJudged) doubtful.resize(kMostJudged);
@@ -403,7 +456,7 @@ bool LoopJudge<Pose>::ReviewWeights(StepContext<Pose>& step) {
   const auto point = [&](int v) -> const Pose& { return map.Points()[static_cast<size_t>(v)]; };
   const double tolerated = step.options.reweigh_tolerance * map.CostUnit();
   for (const int slot : TakeTouched(map).loops) {
-    const double chi2 = map.Chi2Of(map.IdAt(slot)), weight = RobustWeight(options_.kernel, chi2, width_);
+    const double chi2 = map.Chi2Of(map.IdAt(slot)), weight = RobustWeight(options_.kernel, chi2, Width());
     if (std::abs(weight - At(slot).weight) * chi2 <= tolerated) continue;
     SetWeight(slot, weight, map);
     replaced.emplace_back(slot, map.LinearizeSlot(slot, point));
@@ -423,7 +476,7 @@ bool LoopJudge<Pose>::RetryParked(size_t first, size_t last, StepContext<Pose>& 
   std::vector<std::pair<double, FactorId>> close;
   for (size_t k = first; k < last; ++k) {
     const double chi2 = step.map.Chi2Of(parked_[k].id);
-    if (chi2 <= width_ * width_ || chi2 * kNews < parked_[k].chi2) close.emplace_back(chi2, parked_[k].id);
+    if (chi2 <= limit_ || chi2 * kNews < parked_[k].chi2) close.emplace_back(chi2, parked_[k].id);
   }
   std::sort(close.begin(), close.end());
   if (close.size() > kMostRetried) close.resize(kMostRetried);
@@ -511,7 +564,7 @@ double LoopJudge<Pose>::RobustChi2(const Map& map) const {
   double sum = map.Chi2();
   const auto replace = [&](FactorId id) {
     const double chi2 = map.Chi2Of(id);
-    sum += RobustCost(options_.kernel, chi2, width_) - chi2;
+    sum += RobustCost(options_.kernel, chi2, Width()) - chi2;
   };
   for (const Parked& parked : parked_) replace(parked.id);
   for (size_t slot = 0; slot < slots_.size(); ++slot) {
@@ -537,6 +590,7 @@ BatchResult<Pose> LoopJudge<Pose>::SolveBatch(const Map& map, const std::vector<
                                               BatchOptions options, bool anew) const {
   if (!IsActive()) return terse::SolveBatch(map.Graph(), T_world_body, options);
   options.robust = options_;
+  options.robust.width = Width();
   options.robust_factors.emplace();
   for (const Parked& parked : parked_) options.robust_factors->push_back(parked.id);
   for (size_t slot = 0; slot < slots_.size(); ++slot) {
@@ -546,6 +600,7 @@ BatchResult<Pose> LoopJudge<Pose>::SolveBatch(const Map& map, const std::vector<
   if (!Chooses() || parked_.empty()) return terse::SolveBatch(map.Graph(), T_world_body, options);
   if (anew) {
     options.graduate = true;
+    options.robust = options_;
     options.robust_factors.reset();
     return terse::SolveBatch(map.Graph(), T_world_body, options);
   }
@@ -583,8 +638,9 @@ void LoopJudge<Pose>::TakeWeights(const std::vector<double>& weights, StepContex
 template <class Pose>
 template <class Archive>
 void LoopJudge<Pose>::Serialize(Archive& archive) {
-  auto& [options, width, slots, parked, next_parked, has_evicted, slips] = *this;
-  archive(options, width, next_parked, has_evicted, slips);
+  auto& [options, stated_limit, limit, outer_limit, reviewed_limit, doubts_all, scale, slots, parked, next_parked,
+         has_evicted, slips] = *this;
+  archive(options, stated_limit, limit, outer_limit, reviewed_limit, doubts_all, scale, next_parked, has_evicted, slips);
   archive.Each(slots, [&](OfSlot& slot) {
     auto& [is_loop, is_listed, weight, judged_chi2, leverage] = slot;
     archive(is_loop, is_listed, weight, judged_chi2, leverage);

@@ -11,10 +11,12 @@
 // flips while these lower the cost. A loop that is out takes no part. The other kernels weigh every loop.
 
 #include <algorithm>
+#include <cmath>
 
 #include "incremental/judged_loop.h"
 #include "incremental/steps.h"
 #include "incremental/update_plan.h"
+#include "terse/core/innovation_scale.h"
 #include "terse/core/loop_contest.h"
 
 namespace terse::internal {
@@ -27,6 +29,12 @@ class LoopJudge {
   LoopJudge() = default;
   explicit LoopJudge(const RobustOptions& options);  // without a kernel it has nothing to do
   bool IsActive() const { return options_.kernel != RobustKernel::kNone; }
+  // c as it is now: that of the options, or what loops so far made of it (innovation_scale.h).
+  double Width() const { return std::sqrt(limit_); }
+  // A width that the options leave open is at most this.
+  void LimitWidth(double width);
+  // What another judge has learned of the innovations of loops.
+  void LearnFrom(const LoopJudge& earlier);
 
   // Follows the map: its slots after every update, a slot before it is released, a measurement that is removed.
   void Resize(const Map& map);
@@ -35,7 +43,8 @@ class LoopJudge {
 
   // The loops among the factors of an update that has been made: each comes in with the weight that its innovation
   // deserves, or stays out. Those that are in join plan.changes.added, for the gate counts what they bring.
-  void Admit(UpdatePlan<Pose>& plan, StepContext<Pose>& step);
+  // increase: by what the update raised the minimum.
+  void Admit(UpdatePlan<Pose>& plan, double increase, StepContext<Pose>& step);
   // Loops on poses that moved, and now and then those that are out, are judged again, while anything changes.
   void Review(StepContext<Pose>& step);
 
@@ -75,6 +84,9 @@ class LoopJudge {
     double chi2;  // when it was judged
   };
   OfSlot& At(int slot) { return slots_[static_cast<std::size_t>(slot)]; }
+  bool Adapts() const { return Chooses() && options_.width == 0; }
+  void NoteInnovation(double innovation, int count);
+  void SetLimit() { limit_ = std::min(outer_limit_, scale_.Limit(stated_limit_, B)); }
   bool Chooses() const { return options_.kernel == RobustKernel::kGnc; }
   void Park(FactorId id, double chi2);
   bool IsSlip(FactorId id) const { return std::binary_search(slips_.begin(), slips_.end(), id); }
@@ -100,12 +112,18 @@ class LoopJudge {
   std::vector<FactorId> LoopsIn(const Map& map) const;  // ascending
   bool ReviewOdometry(const std::vector<int>& slots, StepContext<Pose>& step);
   bool ReviewMembers(StepContext<Pose>& step);
+  void DoubtAllIfNarrower();
   bool ReviewWeights(StepContext<Pose>& step);
   bool RetryParked(std::size_t first, std::size_t last, StepContext<Pose>& step);
   void SetWeight(int slot, double weight, Map& map);
 
   RobustOptions options_;
-  double width_ = 0;             // from the options
+  double stated_limit_ = 0;      // the width of the options, squared
+  double limit_ = 0;             // the width as it is, squared
+  double outer_limit_ = 0;       // from outside, squared
+  double reviewed_limit_ = 0;    // what it was when all loops that are in were last in doubt
+  bool doubts_all_ = false;      // they are to be looked at, not only those on poses that moved
+  InnovationScale scale_;        // kGnc, with a width that the options leave open
   std::vector<OfSlot> slots_;    // empty without a kernel
   std::vector<Parked> parked_;   // kGnc: loops that are out, ascending
   std::size_t next_parked_ = 0;  // of these, to be looked at

@@ -48,7 +48,7 @@ bool LoopJudge<Pose>::AdmitSlip(FactorId newcomer, StepContext<Pose>& step) {
   KnownLoops loops{newcomer, {}, [&] { return LoopsIn(map); }};
   const auto [first, last] = ParkedAround(newcomer);
   for (size_t k = first; k < last; ++k) loops.out.push_back(parked_[k].id);
-  const std::optional<Slip<Pose>> slip = FindSlip(loops, width_, map);
+  const std::optional<Slip<Pose>> slip = FindSlip(loops, Width(), map);
   if (!slip) return false;
   Loops in, out = {Loop(slip->odometry, map)};
   for (const FactorId id : slip->comes) in.emplace_back(id, map);
@@ -80,10 +80,10 @@ bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step)
   }
   double at_stake = PriceOf(newcomer);
   for (const Loop& other : others) at_stake += PriceOf(other.id);
-  if (at_stake <= kSlipPrice * width_ * width_) return false;
+  if (at_stake <= kSlipPrice * limit_) return false;
   if (others.size() > kMostLoops) others.erase(others.begin(), others.end() - static_cast<long>(kMostLoops));
   const std::vector<FactorId> in_map = LoopsIn(map);
-  double lowest = -kLeastGainOfSlip * width_ * width_;
+  double lowest = -kLeastGainOfSlip * limit_;
   Loops comes, goes;
   for (const int v : starts) {
     const int slot = OdometrySlot(v, in_map, map);
@@ -92,7 +92,7 @@ bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step)
     contest.insert(contest.end(), others.begin(), others.end());
     Contest<B> without = ContestOf(contest, map);
     for (size_t k = 2; k < contest.size(); ++k) others[k - 2].z = contest[k].z;
-    without.SetPrice(0, kSlipPrice * width_ * width_);
+    without.SetPrice(0, kSlipPrice * limit_);
     if (without.Leverage(0) > kMostLocalLeverage) without.Flip(1);  // what hangs on nothing else hangs on the loop
     if (without.Leverage(0) > kMostLocalLeverage || !without.Flip(0)) continue;
     without.Descend(1, contest.size());
@@ -124,12 +124,12 @@ bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>& slots, StepContext<
     const LinearFactor<B>& f = map.Cholesky().LinearFactorAt(slot);
     if (f.second < 0 || std::abs(f.first - f.second) != 1 || map.IdAt(slot).value < 0) continue;
     const double chi2 = map.LinearResidual(slot).squaredNorm();
-    if (chi2 > width_ * width_) doubtful.emplace_back(-chi2, slot);
+    if (chi2 > limit_) doubtful.emplace_back(-chi2, slot);
   }
   if (doubtful.empty()) return false;
   std::sort(doubtful.begin(), doubtful.end());
   if (doubtful.size() > kMostOdometry) doubtful.resize(kMostOdometry);
-  double worst = kSlipPrice * width_ * width_;
+  double worst = kSlipPrice * limit_;
   Loops goes;
   for (const auto& entry : doubtful) {
     Loop odometry(map.IdAt(entry.second), map);

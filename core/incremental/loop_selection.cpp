@@ -30,7 +30,7 @@ std::optional<LoopSelection<Pose>> SolveByReplay(const PoseGraph<Pose>& graph, c
     finish.robust_factors.reset();
     BatchResult<Pose> result = solver.Finish(finish);
     OrderAsIn(graph, ArrivalUnit::kPose, solver.Graph(), result);
-    LoopSelection<Pose> selection{std::move(result.T_world_body), LoopFactors(graph)};
+    LoopSelection<Pose> selection{std::move(result.T_world_body), LoopFactors(graph), result.robust_width};
     for (const FactorId id : SlippedOdometry(graph, result.weights)) selection.robust_factors.push_back(id);
     return selection;
   } catch (const NumericalError& error) {

@@ -13,6 +13,7 @@ template <class Pose>
 struct LoopSelection {
   std::vector<Pose> T_world_body;        // the optimum with the loops that are believed, by pose index
   std::vector<FactorId> robust_factors;  // the loops, and odometry that slipped
+  double width;                          // of the kernel, in the end
 };
 
 // By a replay in order of arrival, composed from the first pose on; nothing where that is not possible. is_stopped: the

@@ -138,10 +138,9 @@ void FindLoops(const GraphUpdate<Pose>& update, const PoseGraph<Pose>& graph, Up
 
 // Loops that agree with the estimate as it is come in with the update, the others are to be judged.
 template <class Pose>
-void ScreenLoops(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map, const RobustOptions& robust,
-                 UpdatePlan<Pose>& plan) {
+void ScreenLoops(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map, RobustKernel kernel,
+                 double width, UpdatePlan<Pose>& plan) {
   const int old = static_cast<int>(map.Graph().Poses().size());
-  const double width = WidthOf(robust, Pose::kDof);
   const auto estimate = [&](PoseId id) {
     const int v = plan.IndexOf(id, map.Graph());
     if (v >= old) return plan.new_values[At(v - old)];
@@ -153,7 +152,7 @@ void ScreenLoops(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& m
     const FactorPoses ends = PosesOf(update.factors[k]);
     const Vector<Pose::kDof> r = SquareRootInformation(update.factors[k]) *
                                  Residual(update.factors[k], estimate(ends.first), estimate(ends.second));
-    if (RobustWeight(robust.kernel, r.squaredNorm(), width) == 1) plan.waits[k] = 0;
+    if (RobustWeight(kernel, r.squaredNorm(), width) == 1) plan.waits[k] = 0;
   }
 }
 
@@ -168,6 +167,7 @@ void PlanFactors(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& m
     const FactorPoses ends = PosesOf(factor);
     const int first = plan.IndexOf(ends.first, map.Graph()), second = plan.IndexOf(ends.second, map.Graph());
     plan.W.push_back(SquareRootInformation(factor));
+    plan.only_relative = plan.only_relative && ends.count == 2;
     if (plan.Waits(k)) continue;
     plan.changes.added.push_back(Linearize(factor, plan.W.back(), first, second, point(first), point(second)));
   }
@@ -198,14 +198,14 @@ void PlanAnchor(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& ma
 
 template <class Pose>
 UpdatePlan<Pose> PlanUpdate(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map,
-                            const IncrementalOptions& options) {
+                            const IncrementalOptions& options, double width) {
   Validate(update, map.Graph());
   UpdatePlan<Pose> plan;
   PlanNewPoses(update, map, plan);
   PlanFrame(update, map, options, plan);
   if (options.robust.kernel != RobustKernel::kNone) {
     FindLoops(update, map.Graph(), plan);
-    ScreenLoops(update, map, options.robust, plan);
+    ScreenLoops(update, map, options.robust.kernel, width, plan);
   }
   PlanFactors(update, map, plan);
   PlanAnchor(update, map, plan);
@@ -214,7 +214,7 @@ UpdatePlan<Pose> PlanUpdate(const GraphUpdate<Pose>& update, const LinearizedGra
 
 #define TERSE_INSTANTIATE(Pose)                                                                \
   template UpdatePlan<Pose> PlanUpdate(const GraphUpdate<Pose>&, const LinearizedGraph<Pose>&, \
-                                       const IncrementalOptions&);
+                                       const IncrementalOptions&, double);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -169,7 +169,7 @@ void AddRobustStats(const PoseGraph<Pose>& graph, const BatchResult<Pose>& resul
     }
     ++k;
   }
-  stats.more["robust"] = {{"kernel", WordOf(robust.kernel)}, {"width", WidthOf(robust, Pose::kDof)},
+  stats.more["robust"] = {{"kernel", WordOf(robust.kernel)}, {"width", result.robust_width},
                           {"cost", result.robust_cost},      {"loops", LoopFactors(graph).size()},
                           {"rejected", rejected.size()},     {"loops_rejected", rejected},
                           {"odometry_slips", slips}};

@@ -69,6 +69,7 @@ struct BatchResult {
   // The factor at T_world_body (variable = pose index), for covariances; empty if not positive definite.
   BlockCholesky<Pose::kDof> cholesky;
   std::vector<FreeMotion> free_motions;  // what no measurement sees, if not positive definite
+  double robust_width = 0;               // with a robust kernel: c, as it was in the end
   std::vector<double> weights;           // with a robust kernel: by position in the graph's factors; those of `factor`
   bool Converged() const { return termination == Termination::kConverged; }
 };

@@ -62,7 +62,10 @@ class IncrementalSolver {
   const IncrementalOptions& Options() const { return options_; }
   // How often the map left a wrong minimum for a lower one (IncrementalOptions::restart), Finish included.
   int Restarts() const;
-  // Adds the restarts and seconds of a solver that this one takes the place of.
+  // From now on the width of kGnc, where RobustOptions leave it open, is at most this: for who tests loops before they
+  // come, and knows better how well they agree. Loops that are in are judged again if it is much narrower than it was.
+  void LimitRobustWidth(double width);
+  // Adds the restarts and seconds of a solver that this one takes the place of, and what it learned of loops.
   void CountOnFrom(const IncrementalSolver& earlier);
 
   // Poses and living factors; the pose values in it are the initial ones.

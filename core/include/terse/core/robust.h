@@ -19,6 +19,11 @@
 // Robust are the loops: relative factors other than the one that brings a pose in. Those, odometry as a rule, hold
 // every pose, so that weights of zero leave nothing free. kGnc leaves one of them out, too, where loops from several
 // places contradict it in the same way: they hold what came after. Priors and fixed poses are never robust.
+//
+// A width that is left open assumes that information is that of covariances. kGnc makes it narrower where loops agree
+// with the others much better than that: c^2 is at most six times the quantile at the scale that the median of their
+// innovations says (and at least a thousandth of it). So covariances that are too cautious let no wrong loops pass. Only
+// where loops come one after the other, which includes SolveBatch with BatchOptions::graduate.
 
 #include <string>
 #include <vector>
@@ -31,8 +36,9 @@ enum class RobustKernel { kNone, kHuber, kCauchy, kTukey, kDcs, kGnc };
 
 struct RobustOptions {
   RobustKernel kernel = RobustKernel::kNone;
-  double width = 0;       // c; 0: DefaultRobustWidth
-  double gnc_step = 1.4;  // kGnc: mu grows by this factor from one stage to the next (Yang et al.: 1.4)
+  double width = 0;        // c; 0: left open, see quantile
+  double gnc_step = 1.4;   // kGnc: mu grows by this factor from one stage to the next (Yang et al.: 1.4)
+  double quantile = 0.99;  // a width that is left open: c^2 is this quantile of chi-square, for kTukey three times that
 };
 
 // What is wrong with the options, or "".
@@ -41,7 +47,7 @@ std::string FindDefect(const RobustOptions& options);
 // c^2 is what a true factor of so many scalars exceeds once in a hundred times. Tukey's is three times that: its cost
 // then ends where truncated least squares ends.
 double DefaultRobustWidth(RobustKernel kernel, int dimension);
-// options.width, or the default.
+// options.width, or that of the quantile.
 double WidthOf(const RobustOptions& options, int dimension);
 
 // rho(s) and rho'(s), s = chi2 >= 0, width > 0. kNone: s and 1.

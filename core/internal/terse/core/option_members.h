@@ -8,8 +8,8 @@ namespace terse {
 
 template <class Archive>
 void Serialize(Archive& archive, RobustOptions& options) {
-  auto& [kernel, width, gnc_step] = options;
-  archive(kernel, width, gnc_step);
+  auto& [kernel, width, gnc_step, quantile] = options;
+  archive(kernel, width, gnc_step, quantile);
 }
 
 template <class Archive>
