@@ -3,6 +3,7 @@
 #include "terse/core/incremental_solver.h"
 
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "incremental/gate.h"
@@ -11,6 +12,7 @@
 #include "incremental/steps.h"
 #include "support/stopwatch.h"
 #include "terse/core/error.h"
+#include "terse/core/initial_values.h"
 #include "terse/core/log_message.h"
 #include "terse/core/observability.h"
 #include "terse/core/state_members.h"
@@ -19,6 +21,9 @@ namespace terse {
 namespace {
 // Looks at the loops that are out, each time from a new minimum.
 constexpr int kMostFinishRounds = 10;
+// A step without loops that still expects to lower the cost by so many loops: the steps lead nowhere.
+constexpr double kDiverging = 1e3;
+constexpr double kSameMinimum = 1e-3;
 
 using internal::Log;
 using internal::ScopedTimer;
@@ -59,6 +64,7 @@ struct IncrementalSolver<Pose>::Parts {
   double TimedChi2(StepReport& report) const;
   bool MoveTo(const std::vector<Pose>& T_world_body, const IncrementalOptions& options);
   void RestartIfLower(Step& step);
+  void RescueIfDiverging(const internal::UpdatePlan<Pose>& plan, Step& step);
 };
 
 template <class Pose>
@@ -118,6 +124,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
     is_deferred = internal::OptimizeOffsets(is_deferred, step);
   }
   judge.Review(step);
+  parts_->RescueIfDiverging(plan, step);
   if (MayRestart(options_)) {
     watch.NoteStep(minimum_before, minimum_after, map, options_);
     const bool may_take_long = report.gate_open && options_.budget_seconds == 0;
@@ -240,6 +247,30 @@ void IncrementalSolver<Pose>::Parts::RestartIfLower(Step& step) {
   watch.NoteRestart(map);
   step.report.restarted = true;
   step.report.variables_moved = step.report.variables_relinearised = map.Cholesky().Variables();
+}
+
+// kGnc: a loop that went again while the map was on its way to it can leave the map where full steps lead nowhere. Then
+// it comes to rest by damped ones, from where it is and from composed odometry, with the loops that are in.
+template <class Pose>
+void IncrementalSolver<Pose>::Parts::RescueIfDiverging(const internal::UpdatePlan<Pose>& plan, Step& step) {
+  const IncrementalOptions& options = step.options;
+  const bool may = options.robust.kernel == RobustKernel::kGnc && options.carry == Carry::kOffset &&
+                   options.budget_seconds == 0 && step.report.gate_open && plan.BringsLoopsOnly() && plan.Loops() == 0;
+  if (!may || !(step.report.gate_value > kDiverging * judge.Width() * judge.Width())) return;
+  BatchOptions batch;
+  batch.threads = options.threads;
+  const PoseGraph<Pose> graph = WithWeights(map.Graph(), judge.WeightsIn(map));
+  BatchResult<Pose> best;
+  best.chi2 = std::numeric_limits<double>::infinity();
+  std::vector<std::vector<Pose>> starts = {map.Estimates()};
+  if (ConnectedComponents(graph).size() == 1) starts.push_back(ComputeInitialValues(graph, InitialValues::kCompose));
+  for (const auto& start : starts) {
+    BatchResult<Pose> result = SolveBatch(graph, start, batch);
+    const bool is_lower = result.chi2 < (1 - kSameMinimum) * best.chi2;
+    if (result.termination != Termination::kNotPositiveDefinite && is_lower) best = std::move(result);
+  }
+  if (best.T_world_body.empty() || !MoveTo(best.T_world_body, options)) return;
+  Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": the map did not come to rest, now at chi2 ", best.chi2);
 }
 
 // All linearisation points. False, and nothing changes, if the Cholesky factor does not take them.

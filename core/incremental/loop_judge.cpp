@@ -574,6 +574,13 @@ double LoopJudge<Pose>::RobustChi2(const Map& map) const {
 }
 
 template <class Pose>
+std::vector<double> LoopJudge<Pose>::WeightsIn(const Map& map) const {
+  std::vector<double> weights;
+  for (const auto& node : map.Graph().Factors()) weights.push_back(map.SlotOf(node.id) >= 0 ? 1 : 0);
+  return weights;
+}
+
+template <class Pose>
 double LoopJudge<Pose>::WeightOf(FactorId id, const Map& map) const {
   if (map.Graph().FindFactor(id) == nullptr) {
     throw std::invalid_argument("factor " + std::to_string(id.value) + " is not in the graph");
@@ -605,8 +612,7 @@ BatchResult<Pose> LoopJudge<Pose>::SolveBatch(const Map& map, const std::vector<
     return terse::SolveBatch(map.Graph(), T_world_body, options);
   }
   // Who is in was decided by innovations: residuals tell the same only at the optimum of those.
-  std::vector<double> weights;
-  for (const auto& node : map.Graph().Factors()) weights.push_back(map.SlotOf(node.id) >= 0 ? 1 : 0);
+  const std::vector<double> weights = WeightsIn(map);
   BatchOptions held = options;
   held.robust = RobustOptions();
   held.robust_factors.reset();

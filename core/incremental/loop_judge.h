@@ -54,6 +54,8 @@ class LoopJudge {
   bool ReviewAllOdometry(StepContext<Pose>& step);
 
   double RobustChi2(const Map& map) const;
+  // By position in the graph's factors: 1 for what is in, 0 for what is out.
+  std::vector<double> WeightsIn(const Map& map) const;
   double WeightOf(FactorId id, const Map& map) const;
   // The batch optimum from these values with this judge's kernel, kGnc from the loops that are in, or anew; then its
   // weights, by position in the graph's factors.

@@ -1,6 +1,7 @@
 #pragma once
 // Everything an update will change, worked out before anything is.
 
+#include <algorithm>
 #include <map>
 #include <string>
 #include <vector>
@@ -24,6 +25,7 @@ struct UpdatePlan {
   std::vector<Pose> moved_points;  // of the poses that were there, if the map moves as a whole; else empty
 
   bool IsLoop(std::size_t k) const { return !is_loop.empty() && is_loop[k] != 0; }
+  std::ptrdiff_t Loops() const { return std::count(is_loop.begin(), is_loop.end(), char{1}); }
   bool Waits(std::size_t k) const { return !waits.empty() && waits[k] != 0; }
   // Besides poses and what brings them in: no priors, nothing removed or moved.
   bool BringsLoopsOnly() const { return only_relative && changes.removed.empty() && moved_points.empty(); }
