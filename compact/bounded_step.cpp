@@ -137,6 +137,7 @@ void BoundedStep<Pose>::Sight(int offer) {
     Sighting sighting;
     sighting.offer = offer;
     sighting.log_det = LogDeterminant(loop.T_kept_current.covariance);
+    sighting.is_doubted = e.record.outlier;
     if (loop.kept != current_.base) sighting.map_gain = MapGain(e.T_pose_current, loop.T_kept_current.covariance);
     sightings_.push_back(sighting);
   }
@@ -225,8 +226,10 @@ void BoundedStep<Pose>::PutSecondToUse(std::vector<Sighting>& sightings) const {
 template <class Pose>
 void BoundedStep<Pose>::Anchor() {
   std::vector<Sighting> sightings = sightings_;
-  const auto is_carried_on_odometry = [&](const Sighting& s) { return IsOnOdometry(OfferOf(s)); };
-  sightings.erase(std::remove_if(sightings.begin(), sightings.end(), is_carried_on_odometry), sightings.end());
+  // What the kernel is to judge has to stay a loop: a chain that starts anew at a wrong place does so for good.
+  const bool judges = parts_.options.solver.robust.kernel == RobustKernel::kGnc;
+  const auto is_no_use = [&](const Sighting& s) { return IsOnOdometry(OfferOf(s)) || (judges && s.is_doubted); };
+  sightings.erase(std::remove_if(sightings.begin(), sightings.end(), is_no_use), sightings.end());
   if (sightings.empty()) return;
   std::stable_sort(sightings.begin(), sightings.end(),
                    [](const Sighting& a, const Sighting& b) { return a.log_det < b.log_det; });

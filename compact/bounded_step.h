@@ -39,6 +39,7 @@ class BoundedStep {
     int offer = -1;       // in CurrentPose::offers
     double log_det = 0;   // of what it leaves open of where the robot is
     double map_gain = 0;  // what it tells of the map, with the chain, nats
+    bool is_doubted = false;  // the map contradicts it, but others say the same
   };
 
   bool Registers() const { return registration_ != nullptr && !current_.input->loops; }

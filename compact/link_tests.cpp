@@ -19,6 +19,11 @@ using std::size_t;
 // A link that is supported finds its support among the last refused ones: they come from poses close behind each other,
 // of which each may have had several. Failures are remembered for the steps in which their neighbours come up.
 constexpr size_t kMostRefused = 64, kMostFailed = 256;
+// Poses before the first link of a consensus whose links may speak against it, and by how much of its time they have to
+// lead back.
+constexpr std::int64_t kStretch = 20;
+constexpr double kLeastAge = 0.25;
+constexpr size_t kMostAgreed = 64;
 
 template <class Item>
 void KeepNewest(size_t count, std::vector<Item>& items) {
@@ -42,6 +47,7 @@ bool LinkTests<Pose>::IsBelieved(const CurrentPose<Pose>* current, const Uncerta
     record.outlier = !(*record.innovation <= most_innovation_);
     // What the stated covariances allow counts, also if it is refused (innovation_scale.h).
     if (current != nullptr && *record.innovation <= stated_innovation_) noted_.push_back(*record.innovation);
+    if (current != nullptr && !record.outlier) noted_agreed_.push_back({record.id, current->input->id});
   }
   if (record.outlier && current != nullptr) {
     record.supported = IsSupported(*current, record.id, known, measured);
@@ -82,9 +88,26 @@ bool LinkTests<Pose>::IsSupported(const CurrentPose<Pose>& current, PoseId candi
     if (InnovationDistance(predicted, measured) > most_innovation_) continue;
     if (InnovationDistance(predicted, expected) <= most_innovation_) continue;
     supporters.insert(it->seen);
-    if (static_cast<int>(supporters.size()) + 1 >= options_.consensus) return true;
+    if (static_cast<int>(supporters.size()) + 1 < options_.consensus) continue;
+    return !IsOutvoted(candidate, current.input->id, *supporters.begin(), static_cast<long>(supporters.size()));
   }
   return false;
+}
+
+// Whether as many poses of the same stretch have links that agree with the map, over as long a time: then the map was
+// right there, and those that agree with each other make one mistake.
+template <class Pose>
+bool LinkTests<Pose>::IsOutvoted(PoseId candidate, PoseId current, PoseId first_supporter, long supporters) const {
+  const auto age = [](PoseId older, PoseId newer) { return static_cast<double>(newer.value - older.value); };
+  const auto speaks = [&](const Agreed& link) {
+    return link.seen.value >= first_supporter.value - kStretch &&
+           age(link.candidate, link.seen) >= kLeastAge * age(candidate, current);
+  };
+  std::set<PoseId> seen;
+  for (const Agreed& link : agreed_) {
+    if (speaks(link)) seen.insert(link.seen);
+  }
+  return static_cast<long>(seen.size()) > supporters;
 }
 
 template <class Pose>
@@ -116,7 +139,10 @@ bool LinkTests<Pose>::IsNearFailed(const std::vector<Failed>& failed, PoseId can
 template <class Pose>
 void LinkTests<Pose>::TakeIn() {
   for (const double innovation : noted_) scale_.Add(innovation);
+  agreed_.insert(agreed_.end(), noted_agreed_.begin(), noted_agreed_.end());
+  KeepNewest(kMostAgreed, agreed_);
   noted_.clear();
+  noted_agreed_.clear();
   TakeOptions();
   KeepNewest(kMostRefused, refused_);
   KeepNewest(kMostFailed, failed_);
@@ -126,6 +152,7 @@ void LinkTests<Pose>::TakeIn() {
 template <class Pose>
 void LinkTests<Pose>::ForgetNewest(PoseId newest) {
   noted_.clear();
+  noted_agreed_.clear();
   EraseIf([&](PoseId seen) { return seen == newest; });
 }
 
@@ -152,8 +179,12 @@ void LinkTests<Pose>::Restore(const CompactMap<Pose>& map) {
 template <class Pose>
 template <class Archive>
 void LinkTests<Pose>::Serialize(Archive& archive) {
-  auto& [options, map, history, stated_innovation, most_innovation, scale, noted, all_refused, all_failed] = *this;
-  archive(scale);  // what is before it is of the whole, or follows; `noted` is empty between poses
+  auto& [options, map, history, stated_innovation, most_innovation, scale, noted, noted_agreed, all_agreed, all_refused, all_failed] = *this;
+  archive(scale);  // what is before it is of the whole, or follows; what is noted is empty between poses
+  archive.Each(all_agreed, [&](Agreed& link) {
+    auto& [candidate, seen] = link;
+    archive(candidate, seen);
+  });
   if constexpr (Archive::kReads) TakeOptions();
   archive.Each(all_refused, [&](Refused& link) {
     auto& [candidate, seen, T_candidate_seen] = link;

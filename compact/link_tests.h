@@ -56,6 +56,10 @@ class LinkTests {
   std::string FindStateDefect() const;
 
  private:
+  struct Agreed {
+    PoseId candidate, seen;
+  };
+  bool IsOutvoted(PoseId candidate, PoseId current, PoseId first_supporter, long supporters) const;
   template <class Test>
   void EraseIf(const Test& test);  // of PoseId `seen`
   UncertainPose<Pose> FromSeen(PoseId id, const CurrentPose<Pose>& current) const;
@@ -68,7 +72,10 @@ class LinkTests {
   const PoseHistory<Pose>& history_;
   double stated_innovation_ = 0, most_innovation_ = 0;  // the limit of the quantile, and as it is
   InnovationScale scale_;
-  std::vector<double> noted_;  // innovations of the pose at hand, which count when it is in; else empty
+  // Innovations, and links that agree, of the pose at hand: they count when it is in. Else empty.
+  std::vector<double> noted_;
+  std::vector<Agreed> noted_agreed_;
+  std::vector<Agreed> agreed_;  // the last ones, oldest first
   // The last ones, oldest first: candidates are kept poses, those at which they were tried seen ones.
   std::vector<Refused> refused_;
   std::vector<Failed> failed_;
