@@ -36,9 +36,9 @@ class BoundedStep {
   using Failed = typename LinkTests<Pose>::Failed;
   // A loop of the pose that agrees with the map.
   struct Sighting {
-    int offer = -1;       // in CurrentPose::offers
-    double log_det = 0;   // of what it leaves open of where the robot is
-    double map_gain = 0;  // what it tells of the map, with the chain, nats
+    int offer = -1;           // in CurrentPose::offers
+    double log_det = 0;       // of what it leaves open of where the robot is
+    double map_gain = 0;      // what it tells of the map, with the chain, nats
     bool is_doubted = false;  // the map contradicts it, but others say the same
   };
 

@@ -197,15 +197,21 @@ Registration<Pose> GraphReplay<Pose>::AsRegistration() {
 
 template <class Pose>
 Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const DistanceOptions& options) const {
+  return LinkRange(links_, options);
+}
+
+template <class Pose>
+Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const std::vector<RelativePoseFactor<Pose>>& links,
+                                                               const DistanceOptions& options) const {
   std::vector<double> lengths, angles;
   const auto include = [&](const RelativePoseFactor<Pose>& edge) {
     const auto displacement = ComputeDisplacement<Pose>({edge.T_from_to}, options).mean;
     lengths.push_back(displacement.template head<Pose::kDim>().norm());
     angles.push_back(std::abs(displacement[Pose::kDim]));
   };
-  for (const auto& link : links_) include(link);
+  for (const auto& link : links) include(link);
   for (const auto& input : inputs_) {
-    if (links_.empty() && input.odometry) include(*input.odometry);
+    if (links.empty() && input.odometry) include(*input.odometry);
   }
   double reach = kMargin * MostButFew(std::move(lengths));
   if (links_.size() * kFewLinks < inputs_.size()) {

@@ -179,7 +179,8 @@ void LinkTests<Pose>::Restore(const CompactMap<Pose>& map) {
 template <class Pose>
 template <class Archive>
 void LinkTests<Pose>::Serialize(Archive& archive) {
-  auto& [options, map, history, stated_innovation, most_innovation, scale, noted, noted_agreed, all_agreed, all_refused, all_failed] = *this;
+  auto& [options, map, history, stated_innovation, most_innovation, scale, noted, noted_agreed, all_agreed, all_refused,
+         all_failed] = *this;
   archive(scale);  // what is before it is of the whole, or follows; what is noted is empty between poses
   archive.Each(all_agreed, [&](Agreed& link) {
     auto& [candidate, seen] = link;

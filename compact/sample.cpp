@@ -191,6 +191,7 @@ void Sample<Pose>::RemoveRefused(size_t index) {
   for (size_t i = 0; i < good.size(); ++i) {
     if (good[i]) pose.links[kept++] = pose.links[i];
   }
+  refused += static_cast<long>(good.size() - kept);
   pose.links.resize(kept);
 }
 
@@ -210,6 +211,7 @@ void Sample<Pose>::Flush() {
     }
     update.poses.push_back({input.id, start, input.fixed});
     update.factors.insert(update.factors.end(), input.priors.begin(), input.priors.end());
+    believed.insert(believed.end(), pose.links.begin(), pose.links.end());
     for (Link link : pose.links) {
       link.information /= pose.share;
       update.factors.push_back(link);

@@ -29,7 +29,9 @@ class Sample {
   void Add(const CompactInput<Pose>& input, bool look);
 
   std::vector<double> loop_gains, pose_gains;
-  long loops_seen = 0, links = 0;  // looked at; in the map
+  long loops_seen = 0, links = 0;                  // looked at; in the map
+  long refused = 0;                                // that were to join it
+  std::vector<RelativePoseFactor<Pose>> believed;  // those in the map, as they were measured
 
  private:
   using Link = RelativePoseFactor<Pose>;

@@ -15,6 +15,8 @@ constexpr double kLeastLoopGain = 0.5, kMostLoopGain = 1.5, kLeastPoseGain = 0.9
 constexpr double kRareLoopGain = 0.02, kManyLoops = 0.5, kRareness = 1.5;
 constexpr double kPoseToLoop = 0.9;
 
+// Of the links of the sample's map. With more, those that are refused do not tell of the sensor's range.
+constexpr double kMostRefused = 0.02;
 // Of a longer run the beginning stands for the whole: the sample's map holds all poses up to the last looked at.
 constexpr long kMostMapPoses = 5000;
 
@@ -63,7 +65,10 @@ SampledThresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const Sam
   }
   out.sample_loops = sample.loops_seen;
   out.sample_links = sample.links;
-  out.thresholds.range = replay.LinkRange(options.distance);
+  const bool some_are_wrong =
+      static_cast<double>(sample.refused) > kMostRefused * static_cast<double>(sample.refused + sample.links);
+  out.thresholds.range =
+      some_are_wrong ? replay.LinkRange(sample.believed, options.distance) : replay.LinkRange(options.distance);
   out.loop_gain_90 = Percentile90(sample.loop_gains);
   out.pose_gain_90 = Percentile90(sample.pose_gains);
   const double loops = static_cast<double>(replay.LinksOffered()) / static_cast<double>(std::max(poses, 1L));

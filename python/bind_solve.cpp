@@ -203,7 +203,8 @@ void BindSolve(py::module_& module) {
       "relative_tolerance: converged when a step lowers the cost by less than this share of it.\n"
       "robust: the cost of loops, which may be wrong: 'none', 'huber', 'cauchy', 'tukey', 'dcs' or 'gnc'; "
       "robust_width: "
-      "where it sets in, in standard deviations, 0 for what one true loop in a hundred exceeds.\n"
+      "where it sets in, in standard deviations, 0 for what one true loop in a hundred exceeds, with gnc less where "
+      "loops agree better than their information says.\n"
       "threads: at most; the result is the same for any number.\n"
       "progress: called with (iteration, chi2) after every iteration; it returns False to stop.\n"
       "What is numerical is reported, not raised: look at converged. Without the GIL; Ctrl-C works.");

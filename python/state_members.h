@@ -212,9 +212,9 @@ void Serialize(Archive& archive, CompactMapFile& file) {
 template <class Archive, class Pose>
 void Serialize(Archive& archive, BatchResult<Pose>& result) {
   auto& [termination, message, T_world_body, iterations, chi2, robust_cost, gradient_norm, log_determinant, seconds,
-         factor, free_motions, weights] = result;
+         factor, free_motions, robust_width, weights] = result;
   archive(termination, message, T_world_body, iterations, chi2, robust_cost, gradient_norm, log_determinant, seconds,
-          free_motions, weights);
+          free_motions, robust_width, weights);
 }
 
 }  // namespace terse

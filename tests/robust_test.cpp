@@ -187,7 +187,7 @@ TYPED_TEST(RobustTest, BatchFindsTheCleanSolution) {
     for (const auto& node : scene.graph.Factors()) {
       EXPECT_EQ(gnc.weights[k++], node.id < scene.wrong.front() ? 1 : 0);
     }
-    const double width = DefaultRobustWidth(RobustKernel::kGnc, TypeParam::kDof);
+    const double width = gnc.robust_width;
     EXPECT_NEAR(gnc.robust_cost, scene.optimum.chi2 + static_cast<double>(scene.wrong.size()) * width * width, 1e-6);
     EXPECT_GT(gnc.chi2, 10 * gnc.robust_cost) << "without weights";
     // The factor is that of the clean graph.
@@ -394,8 +394,9 @@ TYPED_TEST(RobustTest, MisuseIsRefused) {
 
 // Half of all loops, alone and in groups that agree with each other: no wrong one is believed, hardly a true one lost.
 template <class Pose>
-void ExpectToldApart(terse::Scene scene, int poses, std::uint64_t seed, OutlierKind kind) {
-  SCOPED_TRACE(::testing::Message() << Pose::kDim << "D, seed " << seed << ", kind " << static_cast<int>(kind));
+void ExpectToldApart(terse::Scene scene, int poses, std::uint64_t seed, OutlierKind kind, double caution = 1) {
+  SCOPED_TRACE(::testing::Message() << Pose::kDim << "D, seed " << seed << ", kind " << static_cast<int>(kind)
+                                    << ", variances stated " << caution << " times as large");
   GenerateOptions options;
   options.scene = scene;
   options.poses = poses;
@@ -406,9 +407,13 @@ void ExpectToldApart(terse::Scene scene, int poses, std::uint64_t seed, OutlierK
   std::set<std::pair<std::int64_t, std::int64_t>> wrong;
   GenerateSink<Pose> sink;
   sink.pose = [&](PoseId id, const Pose&) { graph.AddPose(id); };
-  sink.edge = [&](const RelativePoseFactor<Pose>& edge) { graph.AddFactor(edge); };
-  sink.wrong_loop = [&](const RelativePoseFactor<Pose>& edge) {
+  const auto add = [&](RelativePoseFactor<Pose> edge) {
+    edge.information /= caution;
     graph.AddFactor(edge);
+  };
+  sink.edge = add;
+  sink.wrong_loop = [&](const RelativePoseFactor<Pose>& edge) {
+    add(edge);
     wrong.emplace(edge.from.value, edge.to.value);
   };
   Generate(options, sink);
@@ -436,6 +441,22 @@ TEST(Robust, HalfOfAllLoopsWrong) {
       ExpectToldApart<SE3>(terse::Scene::kSphere, 300, seed, kind);
     }
   }
+}
+
+// Covariances that are far too cautious allow many wrong loops: the width becomes that of what loops show.
+TEST(Robust, CautiousInformationLetsNoWrongLoopsIn) {
+  for (const std::uint64_t seed : testing::Seeds(31, kSlowBuild ? 31 : 33)) {
+    ExpectToldApart<SE2>(terse::Scene::kManhattan, 600, seed, OutlierKind::kRandom, 100);
+    ExpectToldApart<SE3>(terse::Scene::kSphere, 300, seed, OutlierKind::kGrouped, 100);
+  }
+}
+
+// Nothing is learned where the caller knows better.
+TEST(Robust, AGivenWidthStays) {
+  const auto scene = MakeScene<SE2>(3, 0.3);
+  BatchOptions options = With(RobustKernel::kGnc);
+  options.robust.width = 2.5;
+  EXPECT_EQ(SolveBatch(scene.graph, options).robust_width, 2.5);
 }
 
 // 30 % wrong loops on a public graph: the clean optimum stays where it is, online too.

@@ -138,8 +138,8 @@ void FindLoops(const GraphUpdate<Pose>& update, const PoseGraph<Pose>& graph, Up
 
 // Loops that agree with the estimate as it is come in with the update, the others are to be judged.
 template <class Pose>
-void ScreenLoops(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map, RobustKernel kernel,
-                 double width, UpdatePlan<Pose>& plan) {
+void ScreenLoops(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& map, RobustKernel kernel, double width,
+                 UpdatePlan<Pose>& plan) {
   const int old = static_cast<int>(map.Graph().Poses().size());
   const auto estimate = [&](PoseId id) {
     const int v = plan.IndexOf(id, map.Graph());

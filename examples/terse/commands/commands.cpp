@@ -44,7 +44,7 @@ CLI::Option* AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {
       .add_option(
           "--robust-width", options.width,
           "Where the kernel sets in, in standard deviations: the norm of the whitened residual (by default what "
-          "one true loop in a hundred exceeds)")
+          "one true loop in a hundred exceeds, with gnc less where loops agree better than their information says)")
       ->check(PositiveNumber())
       ->needs(kernel)
       ->type_name("X");
@@ -57,7 +57,8 @@ void AddRobustOptions(CLI::App& subcommand, CompactRobust& robust) {
   subcommand.get_option("--robust-width")
       ->description(
           "Where the kernel sets in, in standard deviations: the norm of the whitened residual (by default that of gnc "
-          "is the limit of the innovation test, of the others what one true loop in a hundred exceeds)");
+          "is the limit of the innovation test, less where loops agree better than their information says, of the "
+          "others what one true loop in a hundred exceeds)");
   robust.kernel = kernel;
 }
 

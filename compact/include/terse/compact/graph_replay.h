@@ -37,6 +37,9 @@ class GraphReplay {
   // does the one of the largest angle: it may be absurd. Where there are fewer links than one per hundred poses the
   // range is at least five mean steps of the odometry: the links happen to be short.
   Vector<Displacement<Pose>::kSize> LinkRange(const DistanceOptions& options = {}) const;
+  // The same, but it covers these links in place of all.
+  Vector<Displacement<Pose>::kSize> LinkRange(const std::vector<RelativePoseFactor<Pose>>& links,
+                                              const DistanceOptions& options = {}) const;
   // Mean covariance of the links (of the odometry, if there are none).
   typename Pose::Jacobian LinkCovariance() const;
 

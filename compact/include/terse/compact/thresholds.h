@@ -38,18 +38,19 @@ std::vector<long> SamplePositions(long poses, long count);
 
 // Replays the run up to the last pose that is looked at. All poses join the sample's map, but few of a pose's links,
 // each with the information of those that it stands for, so that time and memory do not grow with the number of links.
-// range: the replay's LinkRange, that is, the sensor's own, by what all links of the run measure. The map's uncertainty
-// has no part in it: a displacement may be far beyond the range and still be plausibly within.
-// min_loop_gain: exp(1.36 ln(l90 + 1)) - 1, l90 being the 90th percentile of the links' gains as Algorithm 1 would add
-// them, best first and the rest evaluated again after each; between 1/2 and 1.5 nats per degree of freedom, where there
-// is a loop at every second pose or more. Strategy::kBounded: 0.425 nats, since what is too much retires. Where loops
-// are rare each costs the map next to nothing and may be all that there is about a part of it: the upper bound falls to
-// 0.02 nats with the loops per pose (to the power of 1.5). min_pose_gain: exp(1.7 ln(p90 + 1)) - 1, p90 being the
-// percentile of the least gain per pose among its link to the pose before and the loops it has; at least 0.9 nat per
-// degree of freedom, about what a registration tells of a displacement known half as well (in standard deviations) as
-// it measures, and 0.9 of what min_loop_gain would be if loops were not rare. The bounds are ours: where links are many
-// or odometry is good, as on kitti00_all_loops, the percentiles are those of gains that say next to nothing. Throws
-// std::invalid_argument if the graph is empty or not connected.
+// range: the replay's LinkRange, that is, the sensor's own, by what all links of the run measure; if the innovation
+// test refuses more than one in fifty of the sample's map, by those of this map. The map's uncertainty has no part in
+// it: a displacement may be far beyond the range and still be plausibly within. min_loop_gain: exp(1.36 ln(l90 + 1)) -
+// 1, l90 being the 90th percentile of the links' gains as Algorithm 1 would add them, best first and the rest evaluated
+// again after each; between 1/2 and 1.5 nats per degree of freedom, where there is a loop at every second pose or more.
+// Strategy::kBounded: 0.425 nats, since what is too much retires. Where loops are rare each costs the map next to
+// nothing and may be all that there is about a part of it: the upper bound falls to 0.02 nats with the loops per pose
+// (to the power of 1.5). min_pose_gain: exp(1.7 ln(p90 + 1)) - 1, p90 being the percentile of the least gain per pose
+// among its link to the pose before and the loops it has; at least 0.9 nat per degree of freedom, about what a
+// registration tells of a displacement known half as well (in standard deviations) as it measures, and 0.9 of what
+// min_loop_gain would be if loops were not rare. The bounds are ours: where links are many or odometry is good, as on
+// kitti00_all_loops, the percentiles are those of gains that say next to nothing. Throws std::invalid_argument if the
+// graph is empty or not connected.
 template <class Pose>
 SampledThresholds<Pose> SelectThresholds(const PoseGraph<Pose>& graph, const SampleOptions& options = {});
 

@@ -22,8 +22,8 @@
 //
 // A width that is left open assumes that information is that of covariances. kGnc makes it narrower where loops agree
 // with the others much better than that: c^2 is at most six times the quantile at the scale that the median of their
-// innovations says (and at least a thousandth of it). So covariances that are too cautious let no wrong loops pass. Only
-// where loops come one after the other, which includes SolveBatch with BatchOptions::graduate.
+// innovations says (and at least a thousandth of it). So covariances that are too cautious let no wrong loops pass.
+// Only where loops come one after the other, which includes SolveBatch with BatchOptions::graduate.
 
 #include <string>
 #include <vector>
