@@ -6,7 +6,6 @@
 #include <limits>
 #include <map>
 #include <set>
-#include <stdexcept>
 
 #include "incremental/slip_search.h"
 #include "terse/core/front_paths.h"
