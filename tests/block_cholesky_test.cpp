@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include "terse/core/front_paths.h"
 #include "testing_factor.h"
 
 namespace terse {
@@ -147,6 +148,42 @@ TEST(BlockCholesky, SingularUpdateChangesNothing) {
   ASSERT_TRUE(after.ok);
   mirror.by_slot[after.added_slots[0]] = good.added[0];
   ExpectEqualsDense(factor, mirror);
+}
+
+// A H^-1 A' of many factors at once, which may share all of their paths or none.
+template <int B>
+void ExpectJointGram(std::uint64_t seed) {
+  Random rng(seed);
+  BlockCholesky<B> cholesky;
+  typename BlockCholesky<B>::Changes changes;
+  changes.new_variables = 20;
+  testing::DenseSystem dense{Eigen::MatrixXd::Zero(20 * B, 20 * B), Eigen::VectorXd::Zero(20 * B)};
+  for (int v = 0; v < 20; ++v) {
+    changes.added.push_back(RandomFactor<B>(rng, v, -1));
+    if (v % 10 > 0) changes.added.push_back(RandomFactor<B>(rng, v - 1, v));  // two chains
+  }
+  for (const auto& f : changes.added) AddDense(dense, f);
+  ASSERT_TRUE(cholesky.Update(changes).ok);
+  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(6 * B, 20 * B);
+  std::vector<internal::PathColumns<B>> columns;
+  std::vector<const internal::PathColumns<B>*> all;
+  for (int k = 0; k < 6; ++k) {
+    const int first = static_cast<int>(rng() % 20), second = (first + 1 + static_cast<int>(rng() % 19)) % 20;
+    const LinearFactor<B> f = RandomFactor<B>(rng, first, second);
+    A.block<B, B>(k * B, first * B) = f.A_first;
+    A.block<B, B>(k * B, second * B) = f.A_second;
+    columns.push_back(internal::SolveForward(cholesky.Tree(), f));
+  }
+  for (const auto& z : columns) all.push_back(&z);
+  const Eigen::MatrixXd expected = A * dense.H.llt().solve(A.transpose());
+  EXPECT_LT((internal::JointGram<B>(all) - expected).norm(), kTolerance * expected.norm());
+}
+
+TEST(BlockCholesky, JointGramIsThatOfTheDenseInverse) {
+  for (const std::uint64_t seed : testing::Seeds(1, 5)) {
+    ExpectJointGram<3>(seed);
+    ExpectJointGram<6>(seed);
+  }
 }
 
 TEST(BlockCholesky, ThresholdBoundsTheErrorOfTheSolution) {

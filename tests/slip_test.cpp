@@ -7,13 +7,17 @@
 #include <string>
 #include <string_view>
 
+#include "shared_data.h"
 #include "slow_build.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/generate.h"
+#include "terse/core/graph_file.h"
 #include "terse/core/incremental_solver.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/outliers.h"
 #include "terse/core/replay.h"
 #include "terse/core/slips.h"
+#include "testing_scene.h"
 
 namespace terse {
 namespace {
@@ -101,6 +105,18 @@ TEST(Slip, NoneIsInvented) {
       EXPECT_TRUE(SlippedOdometry(drive.graph, found.weights).empty()) << "seed " << seed << ", wrong " << wrong;
     }
   }
+}
+
+// Nor if groups of wrong loops agree with each other that something did: such a group is one place.
+TEST(Slip, NoneIsInventedByGroups) {
+  TERSE_NEEDS(path, "graphs/2d/manhattan.g2o");
+  auto graph = std::get<PoseGraph<SE2>>(ReadGraph(path).graph);
+  if (kSlowBuild) graph = testing::FirstPoses(graph, 600);
+  const auto truth = Solve(graph, RobustKernel::kNone).T_world_body;
+  const auto wrong = AddWrongLoops(graph, truth, 100, 2, OutlierKind::kGrouped).graph;
+  const auto found = Solve(wrong, RobustKernel::kGnc);
+  EXPECT_LT(Distance(found.T_world_body, truth), 1);
+  EXPECT_TRUE(SlippedOdometry(wrong, found.weights).empty());
 }
 
 // What slipped is named while the robot drives, stays named in a stored state, and goes on from there alike.

@@ -112,6 +112,36 @@ Matrix<B, B> Gram(const PathColumns<B>& a, const PathColumns<B>& b) {
   return sum;
 }
 
+// Front by front, of those that pass it: near the root that is all of them, and the product is a large one.
+template <int B>
+Eigen::MatrixXd JointGram(const std::vector<const PathColumns<B>*>& columns) {
+  struct Passing {
+    int at;
+    const typename PathColumns<B>::mapped_type* Z;
+  };
+  std::map<int, std::vector<Passing>> fronts;
+  int size = 0;
+  for (const PathColumns<B>* path : columns) {
+    for (const auto& [front, Z] : *path) fronts[front].push_back({size, &Z});
+    size += B;
+  }
+  Eigen::MatrixXd joint = Eigen::MatrixXd::Zero(size, size), Z, product;
+  for (const auto& [front, passing] : fronts) {
+    const int width = B * static_cast<int>(passing.size());
+    Z.resize(passing[0].Z->rows(), width);
+    for (int k = 0; k < width; k += B) Z.middleCols<B>(k) = passing[At(k / B)].Z->template leftCols<B>();
+    product.setZero(width, width);
+    product.selfadjointView<Eigen::Lower>().rankUpdate(Z.transpose());
+    for (int j = 0; j < width; j += B) {
+      for (int i = j; i < width; i += B) {
+        joint.block<B, B>(passing[At(i / B)].at, passing[At(j / B)].at) += product.block<B, B>(i, j);
+      }
+    }
+  }
+  joint.triangularView<Eigen::StrictlyUpper>() = joint.transpose();
+  return joint;
+}
+
 template <int B>
 std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>& Z, const Vector<B>& q) {
   std::vector<double> x(static_cast<std::size_t>(tree.Variables()) * B, 0.0);
@@ -151,6 +181,7 @@ std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>
   template void SolveDense<B>(const FrontTree<B>&, std::vector<double>&, int);                                       \
   template PathColumns<B> SolveForward<B>(const FrontTree<B>&, const LinearFactor<B>&);                              \
   template Matrix<B, B> Gram<B>(const PathColumns<B>&, const PathColumns<B>&);                                       \
+  template Eigen::MatrixXd JointGram<B>(const std::vector<const PathColumns<B>*>&);                                  \
   template std::vector<double> SolveBackward<B>(const FrontTree<B>&, const PathColumns<B>&, const Vector<B>&);
 TERSE_INSTANTIATE(3)
 TERSE_INSTANTIATE(6)

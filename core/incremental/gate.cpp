@@ -72,7 +72,7 @@ void UpdateGate<Pose>::Decide(const News& news, StepContext<Pose>& step) {
                                                                                      news.before.variables, variables);
     report.gain_nats = 0.5 * (log_det - news.before.log_determinant - conditional);
   }
-  const double remaining = map.RemainingDecrease();
+  const double remaining = map.RemainingDecrease() + step.settled;
   report.predicted_decrease = remaining;
   switch (options.gate) {
     case Gate::kNewtonDecrement: {

@@ -7,7 +7,6 @@
 #include <map>
 #include <set>
 
-#include "incremental/slip_search.h"
 #include "terse/core/front_paths.h"
 #include "terse/core/graph_members.h"
 #include "terse/core/log_message.h"
@@ -39,6 +38,8 @@ constexpr int kMostRounds = 3;
 constexpr double kNews = 2;
 // Of a loop that has not been judged.
 constexpr double kUnknownLeverage = 4;
+// The estimate is at the minimum if its cost is above it by no more than this share of the limit.
+constexpr double kAtMinimum = 1e-3;
 
 }  // namespace
 
@@ -68,22 +69,6 @@ void LoopJudge<Pose>::Enter(int slot, double weight) {
   At(slot).weight = weight;
   At(slot).judged_chi2 = 0;
   At(slot).leverage = kUnknownLeverage;
-}
-
-// The weight that agrees with the residual that it leads to, found from that of the innovation.
-template <class Pose>
-double LoopJudge<Pose>::WeightOnArrival(Loop& loop, const Map& map) const {
-  const RobustKernel kernel = options_.kernel;
-  double weight = RobustWeight(kernel, loop.residual.squaredNorm(), Width());
-  if (weight == 1) return weight;
-  loop.z = SolveForward(map.Cholesky().Tree(), loop.linear);
-  const Matrix<B, B> P = Gram<B>(loop.z, loop.z), I = Matrix<B, B>::Identity();
-  weight = RobustWeight(kernel, loop.residual.dot((I + P).llt().solve(loop.residual)), Width());
-  for (int k = 0; k < 20; ++k) {
-    const Vector<B> r = (I + weight * P).llt().solve(loop.residual);
-    weight = RobustWeight(kernel, r.squaredNorm(), Width());
-  }
-  return weight;
 }
 
 // In comes with its weight, out goes. False, and nothing changes, if the Cholesky factor does not take it.
@@ -213,8 +198,7 @@ void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, double increase, StepContext
   if (Chooses()) {
     AdmitLoops(loops, step);
   } else {
-    for (Loop& loop : loops) loop.weight = WeightOnArrival(loop, step.map);
-    Exchange(loops, {}, step);
+    AdmitWeighted(loops, step);
   }
   for (const Loop& loop : loops) {
     const int slot = step.map.SlotOf(loop.id);
@@ -222,9 +206,26 @@ void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, double increase, StepContext
   }
 }
 
+// A contest compares residuals at the minimum: anywhere else it seems to pay that loops go which only lead there.
+template <class Pose>
+bool LoopJudge<Pose>::ComeToMinimum(StepContext<Pose>& step) const {
+  const double above = step.map.RemainingDecrease();
+  if (step.options.carry == Carry::kPoint || above <= kAtMinimum * limit_) return false;
+  BackSubstitute(std::nullopt, step);
+  step.settled += above - step.map.RemainingDecrease();
+  return true;
+}
+
 // kGnc: those that agree with the estimate at once, the others by a contest.
 template <class Pose>
-bool LoopJudge<Pose>::AdmitLoops(const Loops& loops, StepContext<Pose>& step) {
+bool LoopJudge<Pose>::AdmitLoops(Loops loops, StepContext<Pose>& step) {
+  if (!loops.empty() && ComeToMinimum(step)) {
+    for (Loop& loop : loops) {
+      const bool is_new = loop.is_new;
+      loop = Loop(loop.id, step.map);
+      loop.is_new = is_new;
+    }
+  }
   bool changed = false;
   for (size_t first = 0; first < loops.size(); first += kMostJudged) {
     Loops block(loops.begin() + static_cast<long>(first),
@@ -326,21 +327,17 @@ std::vector<int> LoopJudge<Pose>::GroupOf(int slot, const Map& map) const {
 
 template <class Pose>
 auto LoopJudge<Pose>::ContestOf(Loops& loops, const Map& map) const -> Contest<B> {
-  const auto n = static_cast<Eigen::Index>(loops.size());
-  Eigen::VectorXd r(n * B);
-  Eigen::MatrixXd P(n * B, n * B);
-  std::vector<char> in(loops.size());
-  for (Eigen::Index i = 0; i < n; ++i) {
-    Loop& loop = loops[static_cast<size_t>(i)];
+  Eigen::VectorXd r(static_cast<Eigen::Index>(loops.size()) * B);
+  std::vector<char> in;
+  std::vector<const PathColumns<B>*> columns;
+  for (Loop& loop : loops) {
     if (loop.z.empty()) loop.z = SolveForward(map.Cholesky().Tree(), loop.linear);
-    in[static_cast<size_t>(i)] = loop.slot >= 0;
-    r.segment<B>(i * B) = loop.slot >= 0 ? map.LinearResidual(loop.slot) : loop.residual;
-    for (Eigen::Index j = 0; j <= i; ++j) {
-      P.block<B, B>(i * B, j * B) = Gram<B>(loop.z, loops[static_cast<size_t>(j)].z);
-      if (j < i) P.block<B, B>(j * B, i * B) = P.block<B, B>(i * B, j * B).transpose();
-    }
+    r.segment<B>(static_cast<Eigen::Index>(in.size()) * B) =
+        loop.slot >= 0 ? map.LinearResidual(loop.slot) : loop.residual;
+    in.push_back(loop.slot >= 0);
+    columns.push_back(&loop.z);
   }
-  Contest<B> contest(std::move(r), std::move(P), std::move(in), Width());
+  Contest<B> contest(std::move(r), JointGram<B>(columns), std::move(in), Width());
   for (size_t i = 0; i < loops.size(); ++i) contest.SetPrice(i, PriceOf(loops[i].id));
   return contest;
 }
@@ -441,6 +438,7 @@ bool LoopJudge<Pose>::ReviewMembers(StepContext<Pose>& step) {
   }
   doubts_all_ = doubts_all_ && doubtful.size() > kMostJudged;
   if (doubtful.empty()) return step.options.carry == Carry::kOffset && ReviewOdometry(touched.odometry, step);
+  ComeToMinimum(step);
   std::sort(doubtful.begin(), doubtful.end());
   if (doubtful.size() > kMostJudged) doubtful.resize(kMostJudged);
   Loops loops;
@@ -448,28 +446,7 @@ bool LoopJudge<Pose>::ReviewMembers(StepContext<Pose>& step) {
   return Judge(loops, Camps(), step);
 }
 
-template <class Pose>
-bool LoopJudge<Pose>::ReviewWeights(StepContext<Pose>& step) {
-  Map& map = step.map;
-  typename Map::Replacements replaced;
-  const auto point = [&](int v) -> const Pose& { return map.Points()[static_cast<size_t>(v)]; };
-  const double tolerated = step.options.reweigh_tolerance * map.CostUnit();
-  for (const int slot : TakeTouched(map).loops) {
-    const double chi2 = map.Chi2Of(map.IdAt(slot)), weight = RobustWeight(options_.kernel, chi2, Width());
-    if (std::abs(weight - At(slot).weight) * chi2 <= tolerated) continue;
-    SetWeight(slot, weight, map);
-    replaced.emplace_back(slot, map.LinearizeSlot(slot, point));
-  }
-  return !replaced.empty() && step.relinearization.MovePoints({}, replaced, map, step.options, step.report);
-}
-
-template <class Pose>
-void LoopJudge<Pose>::SetWeight(int slot, double weight, Map& map) {
-  At(slot).weight = weight;
-  map.SetRoot(slot, std::sqrt(weight) * SquareRootInformation(map.Graph().FindFactor(map.IdAt(slot))->factor));
-}
-
-// kGnc: loops that are out and that the estimate has come closer to, the closest first; those from `first` on.
+// Loops that are out and that the estimate has come closer to, the closest first; those from `first` on.
 template <class Pose>
 bool LoopJudge<Pose>::RetryParked(size_t first, size_t last, StepContext<Pose>& step) {
   std::vector<std::pair<double, FactorId>> close;
@@ -484,7 +461,7 @@ bool LoopJudge<Pose>::RetryParked(size_t first, size_t last, StepContext<Pose>& 
     Park(id, chi2);
     again.emplace_back(id, step.map);
   }
-  return AdmitLoops(again, step);
+  return Chooses() ? AdmitLoops(again, step) : AdmitWeighted(again, step);
 }
 
 // One of a group speaks for it, the closest to the estimate; who is alone has been heard. Few are all heard.
@@ -543,7 +520,7 @@ bool LoopJudge<Pose>::JudgeParkedGroups(StepContext<Pose>& step) {
 template <class Pose>
 void LoopJudge<Pose>::Review(StepContext<Pose>& step) {
   if (!IsActive()) return;
-  bool retry = Chooses() && !parked_.empty() && step.map.Updates() % step.options.relinearize_interval == 0;
+  bool retry = !parked_.empty() && step.map.Updates() % step.options.relinearize_interval == 0;
   for (int round = 0; round < kMostRounds; ++round) {
     if (step.IsOverBudget()) return;
     bool changed = Chooses() ? ReviewMembers(step) : ReviewWeights(step);

@@ -8,12 +8,14 @@
 //
 // kGnc minimises truncated least squares over which loops are in. A new loop, or one that the estimate contradicts, is
 // judged together with those that oppose or support it: graduated non-convexity on their joint n and P, then single
-// flips while these lower the cost. A loop that is out takes no part. The other kernels weigh every loop.
+// flips while these lower the cost. A loop that is out takes no part. The other kernels weigh every loop; one whose
+// weight leaves it nothing to say is out as well, until the estimate comes closer to it.
 
 #include <algorithm>
 #include <cmath>
 
 #include "incremental/judged_loop.h"
+#include "incremental/slip_search.h"
 #include "incremental/steps.h"
 #include "incremental/update_plan.h"
 #include "terse/core/innovation_scale.h"
@@ -94,12 +96,15 @@ class LoopJudge {
   bool IsSlip(FactorId id) const { return std::binary_search(slips_.begin(), slips_.end(), id); }
   double PriceOf(FactorId id) const;  // of being out
   void Enter(int slot, double weight);
-  double WeightOnArrival(Loop& loop, const Map& map) const;
+  double WeightOnArrival(Loop& loop, double tolerated, const Map& map) const;
+  bool AdmitWeighted(Loops loops, StepContext<Pose>& step);
   bool Exchange(const Loops& in, const Loops& out, StepContext<Pose>& step);
   void LogLoops(const Loops& loops, const char* what, const StepContext<Pose>& step) const;
   void LogScreened(FactorId id, const StepContext<Pose>& step) const;
   void LogSlip(FactorId odometry, const StepContext<Pose>& step) const;
-  bool AdmitLoops(const Loops& loops, StepContext<Pose>& step);
+  bool ComeToMinimum(StepContext<Pose>& step) const;  // true if the estimate changed
+  bool AdmitLoops(Loops loops, StepContext<Pose>& step);
+  bool TakeSlip(const Slip<Pose>& slip, StepContext<Pose>& step);
   bool AdmitSlip(FactorId newcomer, StepContext<Pose>& step);
   bool AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step);
   std::pair<std::size_t, std::size_t> ParkedAround(FactorId id) const;  // positions: the first, behind the last
@@ -127,7 +132,7 @@ class LoopJudge {
   bool doubts_all_ = false;      // they are to be looked at, not only those on poses that moved
   InnovationScale scale_;        // kGnc, with a width that the options leave open
   std::vector<OfSlot> slots_;    // empty without a kernel
-  std::vector<Parked> parked_;   // kGnc: loops that are out, ascending
+  std::vector<Parked> parked_;   // loops that are out, ascending
   std::size_t next_parked_ = 0;  // of these, to be looked at
   bool has_evicted_ = false;     // since loops that are out were looked at
   std::vector<FactorId> slips_;  // kGnc: odometry among what is out, ascending

@@ -88,6 +88,10 @@ void LoopJudge<Pose>::TakeWeights(const std::vector<double>& weights, StepContex
     if (weight > 0 && slot < 0) in.emplace_back(node.id, step.map);
     if (weight == 0 && slot >= 0) out.emplace_back(node.id, step.map);
   }
+  if (!Chooses()) {
+    AdmitWeighted(in, step);
+    return;
+  }
   if (!in.empty() || !out.empty()) Exchange(in, out, step);
 }
 

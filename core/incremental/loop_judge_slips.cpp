@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "incremental/loop_judge.h"
-#include "incremental/slip_search.h"
 #include "terse/core/log_message.h"
 
 namespace terse::internal {
@@ -49,13 +48,18 @@ bool LoopJudge<Pose>::AdmitSlip(FactorId newcomer, StepContext<Pose>& step) {
   const auto [first, last] = ParkedAround(newcomer);
   for (size_t k = first; k < last; ++k) loops.out.push_back(parked_[k].id);
   const std::optional<Slip<Pose>> slip = FindSlip(loops, Width(), map);
-  if (!slip) return false;
-  Loops in, out = {Loop(slip->odometry, map)};
-  for (const FactorId id : slip->comes) in.emplace_back(id, map);
-  for (const FactorId id : slip->goes) out.emplace_back(id, map);
+  return slip && TakeSlip(*slip, step);
+}
+
+template <class Pose>
+bool LoopJudge<Pose>::TakeSlip(const Slip<Pose>& slip, StepContext<Pose>& step) {
+  Loops in, out;
+  if (slip.odometry) out.emplace_back(*slip.odometry, step.map);
+  for (const FactorId id : slip.comes) in.emplace_back(id, step.map);
+  for (const FactorId id : slip.goes) out.emplace_back(id, step.map);
   if (!Exchange(in, out, step)) return false;
-  MoveMap(slip->T_world_body, step);
-  LogSlip(slip->odometry, step);
+  MoveMap(slip.T_world_body, step);
+  if (slip.odometry) LogSlip(*slip.odometry, step);
   return true;
 }
 
@@ -84,7 +88,7 @@ bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step)
   if (others.size() > kMostLoops) others.erase(others.begin(), others.end() - static_cast<long>(kMostLoops));
   const std::vector<FactorId> in_map = LoopsIn(map);
   double lowest = -kLeastGainOfSlip * limit_;
-  Loops comes, goes;
+  Slip<Pose> slip;
   for (const int v : starts) {
     const int slot = OdometrySlot(v, in_map, map);
     if (slot < 0 || PlacesAcross(v, in_map, map) < kLeastPlaces) continue;
@@ -97,21 +101,19 @@ bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step)
     if (without.Leverage(0) > kMostLocalLeverage || !without.Flip(0)) continue;
     without.Descend(1, contest.size());
     if (without.Cost() >= lowest) continue;
-    Loops in;
-    std::vector<FactorId> ids;
+    std::vector<FactorId> comes;
     for (size_t k = 1; k < contest.size(); ++k) {
-      if (without.In()[k] == 0) continue;
-      in.push_back(contest[k]);
-      ids.push_back(contest[k].id);
+      if (without.In()[k] != 0) comes.push_back(contest[k].id);
     }
-    if (CountPlaces(ids, map) < 2) continue;
+    if (CountPlaces(comes, map) < 2) continue;
     lowest = without.Cost();
-    comes = in;
-    goes = {contest[0]};
+    slip.comes = comes;
+    slip.odometry = contest[0].id;
   }
-  if (goes.empty() || !Exchange(comes, goes, step)) return false;
-  LogSlip(goes[0].id, step);
-  return true;
+  if (!slip.odometry) return false;
+  slip.T_world_body = map.Estimates();
+  const std::optional<Slip<Pose>> verified = VerifySlip(slip, {newcomer, {}, [&] { return in_map; }}, Width(), map);
+  return verified && TakeSlip(*verified, step);
 }
 
 // kGnc: of the odometry that loops from several places contradict so much that it costs less to leave it out, the worst
@@ -167,6 +169,7 @@ bool LoopJudge<Pose>::ReviewAllOdometry(StepContext<Pose>& step) {
   template void LoopJudge<Pose>::LogSlip(FactorId, const StepContext<Pose>&) const;           \
   template std::vector<FactorId> LoopJudge<Pose>::LoopsIn(const Map&) const;                  \
   template bool LoopJudge<Pose>::AdmitSlip(FactorId, StepContext<Pose>&);                     \
+  template bool LoopJudge<Pose>::TakeSlip(const Slip<Pose>&, StepContext<Pose>&);             \
   template bool LoopJudge<Pose>::AdmitLocalSlip(FactorId, StepContext<Pose>&);                \
   template bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>&, StepContext<Pose>&); \
   template bool LoopJudge<Pose>::ReviewAllOdometry(StepContext<Pose>&);

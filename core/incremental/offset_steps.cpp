@@ -8,7 +8,7 @@ namespace terse::internal {
 template <class Pose>
 bool OptimizeOffsets(bool was_deferred, StepContext<Pose>& step) {
   using Clock = std::chrono::steady_clock;
-  const auto& [options, map, relinearization, report, start] = step;
+  const auto& [options, map, relinearization, report, settled, start] = step;
   std::optional<Clock::time_point> deadline;
   if (options.budget_seconds > 0) {
     deadline =

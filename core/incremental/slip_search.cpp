@@ -16,7 +16,9 @@ namespace {
 using std::size_t;
 
 // Loops are from different places if they are farther from each other than this, in order of arrival, at an end.
-constexpr int kReachOfPlace = 7;
+constexpr int kReachOfPlace = 9;
+// And of one group if both their ends are so close.
+constexpr int kReachOfGroup = 10;
 // A loop may say the same as another if its chi2 falls by this factor, or below what a true one has; so many of them,
 // the closest first, are compared by covariance.
 constexpr double kMuchLess = 9;
@@ -213,7 +215,8 @@ class Search {
     return sum;
   }
 
-  std::optional<Slip<Pose>> Verified(Slip<Pose> slip) const {
+  // The optimum with what comes in, without what goes and without the slip; its cost.
+  std::pair<double, std::vector<Pose>> Solved(const Slip<Pose>& slip) const {
     const auto has = [](const std::vector<FactorId>& ids, FactorId id) {
       return std::find(ids.begin(), ids.end(), id) != ids.end();
     };
@@ -224,14 +227,71 @@ class Search {
       weights.push_back(is_in ? 1 : 0);
     }
     const BatchResult<Pose> with = SolveBatch(WithWeights(map_.Graph(), weights), slip.T_world_body, BatchOptions());
-    if (with.termination == Termination::kNotPositiveDefinite) return std::nullopt;
-    const FactorId none;
-    const double before = Cost(map_.Estimates(), none), after = Cost(with.T_world_body, slip.odometry);
-    if (after + kSlipPrice * k_ >= before) return std::nullopt;
-    slip.T_world_body = with.T_world_body;
-    return slip;
+    if (with.termination == Termination::kNotPositiveDefinite) return {std::numeric_limits<double>::infinity(), {}};
+    const double price = slip.odometry ? kSlipPrice * k_ : 0;
+    return {Cost(with.T_world_body, slip.odometry.value_or(FactorId())) + price, with.T_world_body};
   }
 
+  // Loops that are in and lead from where one does to where it does, which has the end closest to the slip on one side.
+  std::vector<FactorId> GroupAt(int v, bool before, const std::vector<Span<Pose>>& in) const {
+    const Span<Pose>* seed = nullptr;
+    int closest = kReachOfGroup + 1;
+    for (const auto& span : in) {
+      for (const int end : {span.first, span.last}) {
+        const int distance = before ? v - end : end - v - 1;
+        if (distance >= 0 && distance < closest) closest = distance, seed = &span;
+      }
+    }
+    std::vector<FactorId> group;
+    for (const auto& span : in) {
+      const bool is_near = seed != nullptr && std::abs(span.first - seed->first) <= kReachOfGroup &&
+                           std::abs(span.last - seed->last) <= kReachOfGroup;
+      if (is_near) group.push_back(span.id);
+    }
+    return group;
+  }
+
+ public:
+  // A group of loops at one side is one mistake as well, and is blamed instead if that costs no more: as much as a slip
+  // at most, however many they are.
+  std::optional<Slip<Pose>> Verified(Slip<Pose> slip) const {
+    double lowest = Cost(map_.Estimates(), FactorId());
+    auto [cost, T_world_body] = Solved(slip);
+    if (!(cost < lowest)) return std::nullopt;
+    const FactorPoses ends = PosesOf(map_.Graph().FindFactor(*slip.odometry)->factor);
+    const int v = std::min(map_.Graph().IndexOf(ends.first), map_.Graph().IndexOf(ends.second));
+    std::vector<Span<Pose>> in;
+    for (const FactorId id : loops_.in()) {
+      const bool stays = std::find(slip.goes.begin(), slip.goes.end(), id) == slip.goes.end();
+      if (const auto span = SpanOf(id); span && stays) in.push_back(*span);
+    }
+    lowest = cost;
+    Slip<Pose> best = slip;
+    best.T_world_body = T_world_body;
+    for (const bool before : {true, false}) {
+      const std::vector<FactorId> group = GroupAt(v, before, in);
+      Slip<Pose> other = slip;
+      other.odometry.reset();
+      other.goes.insert(other.goes.end(), group.begin(), group.end());
+      other.T_world_body = T_world_body;
+      auto [cost_of_group, T_without] = Solved(other);
+      if (group.empty() || T_without.empty()) continue;
+      double counted = 0;
+      for (const FactorId id : group) {
+        const FactorPoses of = PosesOf(map_.Graph().FindFactor(id)->factor);
+        const auto T = [&](PoseId pose) -> const Pose& { return T_without[At(map_.Graph().IndexOf(pose))]; };
+        counted += std::min(FactorChi2(map_.Graph().FindFactor(id)->factor, T(of.first), T(of.second)), k_);
+      }
+      cost_of_group -= std::max(0.0, counted - kSlipPrice * k_);
+      if (cost_of_group > lowest) continue;
+      lowest = cost_of_group;
+      best = other;
+      best.T_world_body = T_without;
+    }
+    return best;
+  }
+
+ private:
   const KnownLoops& loops_;
   double k_;
   const LinearizedGraph<Pose>& map_;
@@ -245,6 +305,12 @@ class Search {
 template <class Pose>
 std::optional<Slip<Pose>> FindSlip(const KnownLoops& loops, double width, const LinearizedGraph<Pose>& map) {
   return Search<Pose>(loops, width, map).Find();
+}
+
+template <class Pose>
+std::optional<Slip<Pose>> VerifySlip(const Slip<Pose>& slip, const KnownLoops& loops, double width,
+                                     const LinearizedGraph<Pose>& map) {
+  return Search<Pose>(loops, width, map).Verified(slip);
 }
 
 template <class Pose>
@@ -277,11 +343,13 @@ int PlacesAcross(int v, const std::vector<FactorId>& loops, const LinearizedGrap
   return CountPlaces(across);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                               \
-  template int OdometrySlot(int, const std::vector<FactorId>&, const LinearizedGraph<Pose>&); \
-  template int CountPlaces(const std::vector<FactorId>&, const LinearizedGraph<Pose>&);       \
-  template int PlacesAcross(int, const std::vector<FactorId>&, const LinearizedGraph<Pose>&); \
-  template std::optional<Slip<Pose>> FindSlip(const KnownLoops&, double, const LinearizedGraph<Pose>&);
+#define TERSE_INSTANTIATE(Pose)                                                                         \
+  template int OdometrySlot(int, const std::vector<FactorId>&, const LinearizedGraph<Pose>&);           \
+  template int CountPlaces(const std::vector<FactorId>&, const LinearizedGraph<Pose>&);                 \
+  template int PlacesAcross(int, const std::vector<FactorId>&, const LinearizedGraph<Pose>&);           \
+  template std::optional<Slip<Pose>> FindSlip(const KnownLoops&, double, const LinearizedGraph<Pose>&); \
+  template std::optional<Slip<Pose>> VerifySlip(const Slip<Pose>&, const KnownLoops&, double,           \
+                                                const LinearizedGraph<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -16,10 +16,10 @@ namespace terse::internal {
 
 template <class Pose>
 struct Slip {
-  FactorId odometry;               // that is to be left out
-  std::vector<FactorId> comes;     // loops that contradict it
-  std::vector<FactorId> goes;      // loops across it that agree with it
-  std::vector<Pose> T_world_body;  // the optimum then, by pose index
+  std::optional<FactorId> odometry;  // that is to be left out; none: loops that go are at fault
+  std::vector<FactorId> comes;       // loops that contradict it
+  std::vector<FactorId> goes;        // loops across it that agree with it, or led to what contradicts it
+  std::vector<Pose> T_world_body;    // the optimum then, by pose index
 };
 
 // What a slip costs, in loops left out, and from how many places loops must say that there is one.
@@ -35,6 +35,12 @@ struct KnownLoops {
 
 template <class Pose>
 std::optional<Slip<Pose>> FindSlip(const KnownLoops& loops, double width, const LinearizedGraph<Pose>& map);
+
+// A suspected slip, from values to start at: at its optimum if it explains what is measured, or what explains it no
+// worse without a slip: a group of loops from one place, all wrong.
+template <class Pose>
+std::optional<Slip<Pose>> VerifySlip(const Slip<Pose>& slip, const KnownLoops& loops, double width,
+                                     const LinearizedGraph<Pose>& map);
 
 // The slot by which pose v + 1 follows pose v and that is none of these loops, ascending; -1: there is none.
 template <class Pose>

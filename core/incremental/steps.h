@@ -12,6 +12,7 @@ struct StepContext {
   LinearizedGraph<Pose>& map;
   Relinearization<Pose>& relinearization;
   StepReport& report;
+  double settled = 0;  // decrease of the cost that judging loops took before the gate looks
   std::chrono::steady_clock::time_point start = std::chrono::steady_clock::now();
 
   double Seconds() const { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); }

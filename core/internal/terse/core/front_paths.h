@@ -200,6 +200,9 @@ PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f);
 // a' b.
 template <int B>
 Matrix<B, B> Gram(const PathColumns<B>& a, const PathColumns<B>& b);
+// Z' Z of many side by side, in blocks of B.
+template <int B>
+Eigen::MatrixXd JointGram(const std::vector<const PathColumns<B>*>& columns);
 // x with L' x = Z q, of all variables.
 template <int B>
 std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>& Z, const Vector<B>& q);
