@@ -105,6 +105,7 @@ class LoopJudge {
   bool ComeToMinimum(StepContext<Pose>& step) const;  // true if the estimate changed
   bool AdmitLoops(Loops loops, StepContext<Pose>& step);
   bool TakeSlip(const Slip<Pose>& slip, StepContext<Pose>& step);
+  bool TakeIfVerified(Slip<Pose> suspected, StepContext<Pose>& step);
   bool AdmitSlip(FactorId newcomer, StepContext<Pose>& step);
   bool AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step);
   std::pair<std::size_t, std::size_t> ParkedAround(FactorId id) const;  // positions: the first, behind the last

@@ -111,9 +111,16 @@ bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step)
     slip.odometry = contest[0].id;
   }
   if (!slip.odometry) return false;
-  slip.T_world_body = map.Estimates();
-  const std::optional<Slip<Pose>> verified = VerifySlip(slip, {newcomer, {}, [&] { return in_map; }}, Width(), map);
-  return verified && TakeSlip(*verified, step);
+  return TakeIfVerified(slip, step);
+}
+
+template <class Pose>
+bool LoopJudge<Pose>::TakeIfVerified(Slip<Pose> suspected, StepContext<Pose>& step) {
+  const Map& map = step.map;
+  suspected.T_world_body = map.Estimates();
+  const KnownLoops loops{FactorId(), {}, [&] { return LoopsIn(map); }};
+  const std::optional<Slip<Pose>> slip = VerifySlip(suspected, loops, Width(), map);
+  return slip && TakeSlip(*slip, step);
 }
 
 // kGnc: of the odometry that loops from several places contradict so much that it costs less to leave it out, the worst
@@ -132,7 +139,7 @@ bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>& slots, StepContext<
   std::sort(doubtful.begin(), doubtful.end());
   if (doubtful.size() > kMostOdometry) doubtful.resize(kMostOdometry);
   double worst = kSlipPrice * limit_;
-  Loops goes;
+  Slip<Pose> slip;
   for (const auto& entry : doubtful) {
     Loop odometry(map.IdAt(entry.second), map);
     odometry.z = SolveForward(map.Cholesky().Tree(), odometry.linear);
@@ -146,11 +153,9 @@ bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>& slots, StepContext<
       continue;
     }
     worst = innovation;
-    goes = {odometry};
+    slip.odometry = odometry.id;
   }
-  if (goes.empty() || !Exchange({}, goes, step)) return false;
-  LogSlip(goes[0].id, step);
-  return true;
+  return slip.odometry && TakeIfVerified(slip, step);
 }
 
 // kGnc: all of it.
@@ -170,6 +175,7 @@ bool LoopJudge<Pose>::ReviewAllOdometry(StepContext<Pose>& step) {
   template std::vector<FactorId> LoopJudge<Pose>::LoopsIn(const Map&) const;                  \
   template bool LoopJudge<Pose>::AdmitSlip(FactorId, StepContext<Pose>&);                     \
   template bool LoopJudge<Pose>::TakeSlip(const Slip<Pose>&, StepContext<Pose>&);             \
+  template bool LoopJudge<Pose>::TakeIfVerified(Slip<Pose>, StepContext<Pose>&);              \
   template bool LoopJudge<Pose>::AdmitLocalSlip(FactorId, StepContext<Pose>&);                \
   template bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>&, StepContext<Pose>&); \
   template bool LoopJudge<Pose>::ReviewAllOdometry(StepContext<Pose>&);
