@@ -89,7 +89,7 @@ class Search {
   // Of a loop's measurement, tangent at its later pose.
   Covariance CovarianceOf(const Span<Pose>& span) const {
     const auto& edge = std::get<RelativePoseFactor<Pose>>(map_.Graph().FindFactor(span.id)->factor);
-    const Covariance covariance = edge.information.inverse();
+    Covariance covariance = edge.information.inverse();
     if (map_.Graph().IndexOf(edge.from) == span.first) return covariance;
     const Covariance turn = edge.T_from_to.Adjoint();
     return turn * covariance * turn.transpose();
@@ -215,8 +215,19 @@ class Search {
     return sum;
   }
 
-  // The optimum with what comes in, without what goes and without the slip; its cost.
-  std::pair<double, std::vector<Pose>> Solved(const Slip<Pose>& slip) const {
+  double TruncatedChi2(FactorId id, const std::vector<Pose>& T_world_body) const {
+    const auto& factor = map_.Graph().FindFactor(id)->factor;
+    const FactorPoses ends = PosesOf(factor);
+    const auto T = [&](PoseId pose) -> const Pose& { return T_world_body[At(map_.Graph().IndexOf(pose))]; };
+    return std::min(FactorChi2(factor, T(ends.first), T(ends.second)), k_);
+  }
+
+  struct Optimum {
+    double cost;
+    std::vector<Pose> T_world_body;  // empty: there is none
+  };
+  // With what comes in, without what goes and without the slip.
+  Optimum Solved(const Slip<Pose>& slip) const {
     const auto has = [](const std::vector<FactorId>& ids, FactorId id) {
       return std::find(ids.begin(), ids.end(), id) != ids.end();
     };
@@ -254,10 +265,9 @@ class Search {
  public:
   // A group of loops at one side is one mistake as well, and is blamed instead if that costs no more: as much as a slip
   // at most, however many they are.
-  std::optional<Slip<Pose>> Verified(Slip<Pose> slip) const {
-    double lowest = Cost(map_.Estimates(), FactorId());
-    auto [cost, T_world_body] = Solved(slip);
-    if (!(cost < lowest)) return std::nullopt;
+  std::optional<Slip<Pose>> Verified(const Slip<Pose>& slip) const {
+    const Optimum alone = Solved(slip);
+    if (!(alone.cost < Cost(map_.Estimates(), FactorId()))) return std::nullopt;
     const FactorPoses ends = PosesOf(map_.Graph().FindFactor(*slip.odometry)->factor);
     const int v = std::min(map_.Graph().IndexOf(ends.first), map_.Graph().IndexOf(ends.second));
     std::vector<Span<Pose>> in;
@@ -265,28 +275,25 @@ class Search {
       const bool stays = std::find(slip.goes.begin(), slip.goes.end(), id) == slip.goes.end();
       if (const auto span = SpanOf(id); span && stays) in.push_back(*span);
     }
-    lowest = cost;
+    double lowest = alone.cost;
     Slip<Pose> best = slip;
-    best.T_world_body = T_world_body;
+    best.T_world_body = alone.T_world_body;
     for (const bool before : {true, false}) {
       const std::vector<FactorId> group = GroupAt(v, before, in);
+      if (group.empty()) continue;
       Slip<Pose> other = slip;
       other.odometry.reset();
       other.goes.insert(other.goes.end(), group.begin(), group.end());
-      other.T_world_body = T_world_body;
-      auto [cost_of_group, T_without] = Solved(other);
-      if (group.empty() || T_without.empty()) continue;
+      other.T_world_body = alone.T_world_body;
+      const Optimum without = Solved(other);
+      if (without.T_world_body.empty()) continue;
       double counted = 0;
-      for (const FactorId id : group) {
-        const FactorPoses of = PosesOf(map_.Graph().FindFactor(id)->factor);
-        const auto T = [&](PoseId pose) -> const Pose& { return T_without[At(map_.Graph().IndexOf(pose))]; };
-        counted += std::min(FactorChi2(map_.Graph().FindFactor(id)->factor, T(of.first), T(of.second)), k_);
-      }
-      cost_of_group -= std::max(0.0, counted - kSlipPrice * k_);
-      if (cost_of_group > lowest) continue;
-      lowest = cost_of_group;
+      for (const FactorId id : group) counted += TruncatedChi2(id, without.T_world_body);
+      const double cost = without.cost - std::max(0.0, counted - kSlipPrice * k_);
+      if (cost > lowest) continue;
+      lowest = cost;
       best = other;
-      best.T_world_body = T_without;
+      best.T_world_body = without.T_world_body;
     }
     return best;
   }
