@@ -22,8 +22,6 @@ using std::size_t;
 // Loops that are judged at once, of each side of a contest, and of those that come back in a step.
 constexpr size_t kMostJudged = 10, kMostRetried = 10;
 constexpr size_t MostOfASide(int B) { return B == 3 ? 40 : 24; }
-// Loops whose poses came in so close to each other, at both ends, are a group.
-constexpr int kReachOfGroup = 10;
 constexpr size_t kMostOfGroup = 12;
 template <int B>
 bool AreNear(const LinearFactor<B>& a, const LinearFactor<B>& b) {
@@ -34,8 +32,6 @@ constexpr size_t kNeighbours = 200, kMostLooked = 2000;
 // Scalars that a graduation may have: every stage of it solves for all.
 constexpr size_t kMostGraduated = 60;
 constexpr int kMostRounds = 3;
-// A loop is judged again when its chi2 has changed by this factor.
-constexpr double kNews = 2;
 // Of a loop that has not been judged.
 constexpr double kUnknownLeverage = 4;
 // The estimate is at the minimum if its cost is above it by no more than this share of the limit.
@@ -61,6 +57,7 @@ void LoopJudge<Pose>::Release(int slot) {
   if (!IsActive()) return;
   At(slot).is_loop = 0;
   At(slot).weight = 1;
+  At(slot).judged_chi2 = 0;
 }
 
 template <class Pose>

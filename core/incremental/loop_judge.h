@@ -77,10 +77,12 @@ class LoopJudge {
     std::size_t first_against = 0;                 // 0: there are no camps
     std::vector<std::vector<std::size_t>> groups;  // of those that oppose it
   };
+  // A loop, or odometry, is judged again when its chi2 has changed by this factor.
+  static constexpr double kNews = 2;
   struct OfSlot {
     char is_loop = 0, is_listed = 0;
     double weight = 1;       // of a loop; the slot's W contains its root
-    double judged_chi2 = 0;  // kGnc: of a loop, when it was judged
+    double judged_chi2 = 0;  // kGnc: when it was judged
     double leverage = 0;     // kGnc: its innovation over its chi2, at most, when it was judged
   };
   struct Parked {

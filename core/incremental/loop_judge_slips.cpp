@@ -110,8 +110,7 @@ bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step)
     slip.comes = comes;
     slip.odometry = contest[0].id;
   }
-  if (!slip.odometry) return false;
-  return TakeIfVerified(slip, step);
+  return slip.odometry && TakeIfVerified(slip, step);
 }
 
 template <class Pose>
@@ -133,13 +132,13 @@ bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>& slots, StepContext<
     const LinearFactor<B>& f = map.Cholesky().LinearFactorAt(slot);
     if (f.second < 0 || std::abs(f.first - f.second) != 1 || map.IdAt(slot).value < 0) continue;
     const double chi2 = map.LinearResidual(slot).squaredNorm();
-    if (chi2 > limit_) doubtful.emplace_back(-chi2, slot);
+    if (chi2 > limit_ && chi2 > kNews * At(slot).judged_chi2) doubtful.emplace_back(-chi2, slot);
   }
   if (doubtful.empty()) return false;
   std::sort(doubtful.begin(), doubtful.end());
   if (doubtful.size() > kMostOdometry) doubtful.resize(kMostOdometry);
   double worst = kSlipPrice * limit_;
-  Slip<Pose> slip;
+  int worst_slot = -1;
   for (const auto& entry : doubtful) {
     Loop odometry(map.IdAt(entry.second), map);
     odometry.z = SolveForward(map.Cholesky().Tree(), odometry.linear);
@@ -153,9 +152,14 @@ bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>& slots, StepContext<
       continue;
     }
     worst = innovation;
-    slip.odometry = odometry.id;
+    worst_slot = entry.second;
   }
-  return slip.odometry && TakeIfVerified(slip, step);
+  if (worst_slot < 0) return false;
+  // Once, not at every step from now on: it takes batch solves.
+  At(worst_slot).judged_chi2 = map.LinearResidual(worst_slot).squaredNorm();
+  Slip<Pose> slip;
+  slip.odometry = map.IdAt(worst_slot);
+  return TakeIfVerified(slip, step);
 }
 
 // kGnc: all of it.

@@ -17,8 +17,6 @@ using std::size_t;
 
 // Loops are from different places if they are farther from each other than this, in order of arrival, at an end.
 constexpr int kReachOfPlace = 9;
-// And of one group if both their ends are so close.
-constexpr int kReachOfGroup = 10;
 // A loop may say the same as another if its chi2 falls by this factor, or below what a true one has; so many of them,
 // the closest first, are compared by covariance.
 constexpr double kMuchLess = 9;
@@ -200,26 +198,23 @@ class Search {
     return slip;
   }
 
+  double Chi2At(const Factor<Pose>& factor, const std::vector<Pose>& T_world_body) const {
+    const FactorPoses ends = PosesOf(factor);
+    const auto T = [&](PoseId id) -> const Pose& { return T_world_body[At(map_.Graph().IndexOf(id))]; };
+    return FactorChi2(factor, T(ends.first), T(ends.second));
+  }
+
   // Truncated least squares of the map with or without one odometry edge.
   double Cost(const std::vector<Pose>& T_world_body, FactorId without) const {
     const std::vector<FactorId> in = loops_.in();
     double sum = 0;
     for (const auto& node : map_.Graph().Factors()) {
       if (node.id == without) continue;
-      const FactorPoses ends = PosesOf(node.factor);
-      const auto T = [&](PoseId id) -> const Pose& { return T_world_body[At(map_.Graph().IndexOf(id))]; };
-      const double chi2 = FactorChi2(node.factor, T(ends.first), T(ends.second));
+      const double chi2 = Chi2At(node.factor, T_world_body);
       const bool is_chosen = map_.SlotOf(node.id) < 0 || std::binary_search(in.begin(), in.end(), node.id);
       sum += is_chosen ? std::min(chi2, k_) : chi2;
     }
     return sum;
-  }
-
-  double TruncatedChi2(FactorId id, const std::vector<Pose>& T_world_body) const {
-    const auto& factor = map_.Graph().FindFactor(id)->factor;
-    const FactorPoses ends = PosesOf(factor);
-    const auto T = [&](PoseId pose) -> const Pose& { return T_world_body[At(map_.Graph().IndexOf(pose))]; };
-    return std::min(FactorChi2(factor, T(ends.first), T(ends.second)), k_);
   }
 
   struct Optimum {
@@ -288,7 +283,9 @@ class Search {
       const Optimum without = Solved(other);
       if (without.T_world_body.empty()) continue;
       double counted = 0;
-      for (const FactorId id : group) counted += TruncatedChi2(id, without.T_world_body);
+      for (const FactorId id : group) {
+        counted += std::min(Chi2At(map_.Graph().FindFactor(id)->factor, without.T_world_body), k_);
+      }
       const double cost = without.cost - std::max(0.0, counted - kSlipPrice * k_);
       if (cost > lowest) continue;
       lowest = cost;

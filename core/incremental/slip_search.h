@@ -25,6 +25,8 @@ struct Slip {
 // What a slip costs, in loops left out, and from how many places loops must say that there is one.
 inline constexpr double kSlipPrice = 3;
 inline constexpr int kLeastPlaces = 3;
+// Loops whose poses came in so close to each other, at both ends, are a group.
+inline constexpr int kReachOfGroup = 10;
 
 // Loops as the judge has them: `newcomer` and `out`, which are left out, and those that are in, ascending.
 struct KnownLoops {
