@@ -52,6 +52,7 @@ Decision CompactPoseSlam<Pose>::AddPose(const CompactInput<Pose>& input, const R
   const Registration<Pose> watched = counts_loops ? Watched(registration, seen) : nullptr;
   const Registration<Pose>& sensor = counts_loops ? watched : registration;
   try {
+    parts.tests.NoteOdometry(input);
     if (parts.history.IsEmpty()) {
       internal::Keep({}, current, parts);
     } else if (strategy == Strategy::kApfl || strategy == Strategy::kFpfl) {

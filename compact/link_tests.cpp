@@ -36,7 +36,16 @@ template <class Pose>
 void LinkTests<Pose>::TakeOptions() {
   stated_innovation_ = options_.innovation_quantile ? ChiSquareQuantile(*options_.innovation_quantile, Pose::kDof)
                                                     : std::numeric_limits<double>::infinity();
-  most_innovation_ = options_.innovation_quantile ? scale_.Limit(stated_innovation_, Pose::kDof) : stated_innovation_;
+  most_innovation_ = options_.innovation_quantile
+                         ? std::min(scale_.Limit(stated_innovation_, Pose::kDof), cycles_.LimitInMap())
+                         : stated_innovation_;
+}
+
+template <class Pose>
+void LinkTests<Pose>::NoteOdometry(const CompactInput<Pose>& input) {
+  if (!input.odometry) return;
+  newest_before_ = cycles_.Newest();
+  cycles_.Extend(*input.odometry);
 }
 
 template <class Pose>
@@ -45,6 +54,11 @@ bool LinkTests<Pose>::IsBelieved(const CurrentPose<Pose>* current, const Uncerta
   if (options_.innovation_quantile) {
     record.innovation = InnovationDistance(known, measured);
     record.outlier = !(*record.innovation <= most_innovation_);
+    if (current != nullptr) {
+      const auto cycle = cycles_.Innovation(record.id, current->input->id, measured.T_a_b, measured.covariance);
+      record.outlier = record.outlier || cycles_.Refuses(cycle);
+      if (cycle) noted_cycles_.push_back(*cycle);
+    }
     // What the stated covariances allow counts, also if it is refused (innovation_scale.h).
     if (current != nullptr && *record.innovation <= stated_innovation_) noted_.push_back(*record.innovation);
     if (current != nullptr && !record.outlier) noted_agreed_.push_back({record.id, current->input->id});
@@ -52,6 +66,7 @@ bool LinkTests<Pose>::IsBelieved(const CurrentPose<Pose>* current, const Uncerta
   if (record.outlier && current != nullptr) {
     record.supported = IsSupported(*current, record.id, known, measured);
     if (!record.supported) refused_.push_back({record.id, current->input->id, measured});
+    noted_break_ = noted_break_ || record.supported;
   }
   return !IsRefused(record);
 }
@@ -139,10 +154,13 @@ bool LinkTests<Pose>::IsNearFailed(const std::vector<Failed>& failed, PoseId can
 template <class Pose>
 void LinkTests<Pose>::TakeIn() {
   for (const double innovation : noted_) scale_.Add(innovation);
+  for (const double innovation : noted_cycles_) cycles_.Note(innovation, stated_innovation_);
+  if (noted_break_) cycles_.Break(cycles_.Newest());
+  // Links lead to kept poses.
+  cycles_.Forget([&](PoseId id) { return map_.Solver().Graph().HasPose(id); });
   agreed_.insert(agreed_.end(), noted_agreed_.begin(), noted_agreed_.end());
   KeepNewest(kMostAgreed, agreed_);
-  noted_.clear();
-  noted_agreed_.clear();
+  ClearNoted();
   TakeOptions();
   KeepNewest(kMostRefused, refused_);
   KeepNewest(kMostFailed, failed_);
@@ -150,9 +168,17 @@ void LinkTests<Pose>::TakeIn() {
 }
 
 template <class Pose>
-void LinkTests<Pose>::ForgetNewest(PoseId newest) {
+void LinkTests<Pose>::ClearNoted() {
   noted_.clear();
+  noted_cycles_.clear();
   noted_agreed_.clear();
+  noted_break_ = false;
+}
+
+template <class Pose>
+void LinkTests<Pose>::ForgetNewest(PoseId newest) {
+  if (cycles_.Newest() == newest) cycles_.Retract(newest_before_);
+  ClearNoted();
   EraseIf([&](PoseId seen) { return seen == newest; });
 }
 
@@ -179,9 +205,9 @@ void LinkTests<Pose>::Restore(const CompactMap<Pose>& map) {
 template <class Pose>
 template <class Archive>
 void LinkTests<Pose>::Serialize(Archive& archive) {
-  auto& [options, map, history, stated_innovation, most_innovation, scale, noted, noted_agreed, all_agreed, all_refused,
-         all_failed] = *this;
-  archive(scale);  // what is before it is of the whole, or follows; what is noted is empty between poses
+  auto& [options, map, history, stated_innovation, most_innovation, scale, cycles, newest_before, noted, noted_cycles,
+         noted_break, noted_agreed, all_agreed, all_refused, all_failed] = *this;
+  archive(scale, cycles);  // what is before it is of the whole, or follows; what is noted is empty between poses
   archive.Each(all_agreed, [&](Agreed& link) {
     auto& [candidate, seen] = link;
     archive(candidate, seen);

@@ -9,6 +9,7 @@
 #include "current_pose.h"
 #include "kept_map.h"
 #include "terse/compact/decision.h"
+#include "terse/core/cycle_test.h"
 #include "terse/core/innovation_scale.h"
 
 namespace terse::internal {
@@ -28,12 +29,14 @@ class LinkTests {
   // The options have changed.
   void TakeOptions();
   // The limit: that of the quantile, or lower where links agree much better than their covariances say
-  // (innovation_scale.h). Infinite without the test.
+  // (innovation_scale.h, cycle_test.h). Infinite without the test.
   double MostInnovation() const { return most_innovation_; }
 
-  // Whether a registered link agrees with the map: between record.id and the pose at hand, or two poses seen before
-  // (`current` absent). An outlier may be supported by other links of the pose at hand; if it is not, it may support a
-  // later one.
+  // The pose at hand, before its links are asked for.
+  void NoteOdometry(const CompactInput<Pose>& input);
+  // Whether a registered link agrees with the map, and with odometry alone: between record.id and the pose at hand, or
+  // two poses seen before (`current` absent). An outlier may be supported by other links of the pose at hand; if it is
+  // not, it may support a later one.
   bool IsBelieved(const CurrentPose<Pose>* current, const UncertainPose<Pose>& known,
                   const UncertainPose<Pose>& measured, Candidate& record);
 
@@ -60,6 +63,7 @@ class LinkTests {
     PoseId candidate, seen;
   };
   bool IsOutvoted(PoseId candidate, PoseId current, PoseId first_supporter, long supporters) const;
+  void ClearNoted();
   template <class Test>
   void EraseIf(const Test& test);  // of PoseId `seen`
   UncertainPose<Pose> FromSeen(PoseId id, const CurrentPose<Pose>& current) const;
@@ -72,8 +76,11 @@ class LinkTests {
   const PoseHistory<Pose>& history_;
   double stated_innovation_ = 0, most_innovation_ = 0;  // the limit of the quantile, and as it is
   InnovationScale scale_;
+  CycleTest<Pose> cycles_;
+  PoseId newest_before_;  // cycles_
   // Innovations, and links that agree, of the pose at hand: they count when it is in. Else empty.
-  std::vector<double> noted_;
+  std::vector<double> noted_, noted_cycles_;
+  bool noted_break_ = false;  // links agree that odometry has failed
   std::vector<Agreed> noted_agreed_;
   std::vector<Agreed> agreed_;  // the last ones, oldest first
   // The last ones, oldest first: candidates are kept poses, those at which they were tried seen ones.

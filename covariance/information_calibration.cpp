@@ -1,7 +1,11 @@
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdio>
+#include <string>
+#include <vector>
 
+#include "terse/core/cycle_test.h"
 #include "terse/covariance/information_probe.h"
 #include "terse/covariance/information_scale.h"
 
@@ -76,6 +80,30 @@ std::string What(const StatedInformation& stated) {
   return "the information is too certain";
 }
 
+// Two estimates differ by more than loops in the tail of the noise can make.
+constexpr double kApart = 5;
+bool AreApart(const InformationEstimate& a, const InformationEstimate& b) {
+  const auto all_a = All(a), all_b = All(b);
+  for (std::size_t k = 0; k < all_a.size(); ++k) {
+    const double ratio = all_a[k]->sigma_factor / all_b[k]->sigma_factor;
+    if (std::max(ratio, 1 / ratio) > kApart) return true;
+  }
+  return false;
+}
+
+// Wrong loops bend a map that information says nothing of, and all residuals with it; odometry alone tells some of them
+// apart. Right ones in the tail go with them, which matters where there are no others.
+template <class Pose>
+InformationEstimate EstimateTrimmed(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
+  InformationEstimate of_all = EstimateInformationScale(graph, options);
+  const std::vector<FactorId> refused = internal::LoopsAgainstOdometry(graph);
+  if (refused.empty()) return of_all;
+  PoseGraph<Pose> believed = graph;
+  for (const FactorId id : refused) believed.RemoveFactor(id);
+  InformationEstimate trimmed = EstimateInformationScale(believed, options);
+  return trimmed.failure.empty() && AreApart(trimmed, of_all) ? trimmed : of_all;
+}
+
 }  // namespace
 
 const char* Name(InformationVerdict verdict) {
@@ -100,7 +128,7 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
       return out;
     }
   }
-  out.estimate = EstimateInformationScale(graph, options);
+  out.estimate = EstimateTrimmed(graph, options);
   const InformationEstimate& found = out.estimate;
   if (!found.failure.empty()) {
     out.message = "the residuals cannot tell whether the information is right (" + found.failure + ")";

@@ -17,6 +17,7 @@
 #include "terse/core/initial_values.h"
 #include "terse/core/linear_factor.h"
 #include "terse/covariance/information_probe.h"
+#include "testing_laps.h"
 
 namespace terse {
 namespace {
@@ -123,6 +124,23 @@ void ExpectUntouched(const Cases& cases) {
       ExpectNear(kind.rotation, 1, tolerance, what);
     }
   });
+}
+
+// Wrong loops bend a map at no cost where the information is a unit matrix, and all residuals with it.
+TEST(InformationScale, IdentityBecomesTheSameWithManyWrongLoops) {
+  for (const std::uint64_t seed : {1u, 2u, 3u}) {
+    const auto clean = CalibrateInformation(testing::TwoLaps<SE3>(seed, 0).graph);
+    const auto wrong = CalibrateInformation(testing::TwoLaps<SE3>(seed, 20).graph);
+    ASSERT_EQ(clean.verdict, InformationVerdict::kContradicted) << clean.message;
+    ASSERT_EQ(wrong.verdict, InformationVerdict::kContradicted) << wrong.message;
+    const auto expect_same = [&](double found, double expected, const char* what) {
+      EXPECT_NEAR(std::log(found / expected), 0, std::log(1.3)) << what << ", seed " << seed;
+    };
+    expect_same(wrong.scale.odometry.translation, clean.scale.odometry.translation, "odometry, translation");
+    expect_same(wrong.scale.odometry.rotation, clean.scale.odometry.rotation, "odometry, rotation");
+    expect_same(wrong.scale.loops.translation, clean.scale.loops.translation, "loops, translation");
+    expect_same(wrong.scale.loops.rotation, clean.scale.loops.rotation, "loops, rotation");
+  }
 }
 
 TEST(InformationScale, RightInformationIsLeftAlone) {
@@ -313,7 +331,8 @@ TEST(InformationScale, ExportsWithTheUnitMatrixGetPlausibleOnes) {
     EXPECT_EQ(found.verdict, InformationVerdict::kContradicted) << name << ": " << found.message;
     EXPECT_TRUE(found.stated.odometry.is_identity && found.stated.loops.is_identity);
     for (const KindScale& kind : {found.scale.odometry, found.scale.loops}) {
-      EXPECT_GT(kind.translation, 1e-3) << name;
+      // 19 of lidarslam's 1136 loops hold 99 % of its chi2: the others agree to a millimetre.
+      EXPECT_GT(kind.translation, 5e-4) << name;
       EXPECT_LT(kind.translation, 0.5) << name;
       EXPECT_LT(kind.rotation, 0.05) << name;
     }

@@ -303,6 +303,7 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
   if (options_.robust.kernel == RobustKernel::kGnc && options_.carry == Carry::kOffset) {
     StepReport report;
     typename Parts::Step step{options_, map, relinearization, report};
+    judge.DropRefused(step);
     // What is judged has to be at its minimum.
     FinishFrom(Estimates(), options);
     for (int round = 0; round < kMostFinishRounds; ++round) {

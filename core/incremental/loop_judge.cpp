@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <map>
 #include <set>
@@ -90,7 +91,11 @@ bool LoopJudge<Pose>::Exchange(const Loops& in, const Loops& out, StepContext<Po
   has_evicted_ = has_evicted_ || !out.empty();
   for (const Loop& loop : out) {
     step.relinearization.Release(loop.slot);
-    if (!At(loop.slot).is_loop) slips_.insert(std::upper_bound(slips_.begin(), slips_.end(), loop.id), loop.id);
+    if (!At(loop.slot).is_loop) {
+      slips_.insert(std::upper_bound(slips_.begin(), slips_.end(), loop.id), loop.id);
+      const FactorPoses ends = PosesOf(step.map.Graph().FindFactor(loop.id)->factor);
+      cycles_.Break(ends.first < ends.second ? ends.second : ends.first);
+    }
     Release(loop.slot);
     step.map.Release(loop.id);
     Park(loop.id, std::numeric_limits<double>::infinity());  // to be heard once more where the others then are
@@ -154,6 +159,7 @@ template <class Pose>
 void LoopJudge<Pose>::LearnFrom(const LoopJudge& earlier) {
   if (!Adapts()) return;
   scale_ = earlier.scale_;
+  cycles_ = earlier.cycles_;
   outer_limit_ = earlier.outer_limit_;
   SetLimit();
 }
@@ -163,6 +169,51 @@ void LoopJudge<Pose>::LimitWidth(double width) {
   if (!Adapts()) return;
   outer_limit_ = std::min(width * width, stated_limit_);
   SetLimit();
+}
+
+template <class Pose>
+void LoopJudge<Pose>::NoteCycles(const UpdatePlan<Pose>& plan, const StepContext<Pose>& step) {
+  if (!Adapts()) return;
+  const auto visit = [&](bool loops, const auto& note) {
+    for (size_t k = 0; k < plan.is_loop.size(); ++k) {
+      const auto& factor = step.map.Graph().FindFactor(step.report.factor_ids[k])->factor;
+      const auto* relative = std::get_if<RelativePoseFactor<Pose>>(&factor);
+      if (relative != nullptr && plan.IsLoop(k) == loops) note(*relative);
+    }
+  };
+  visit(false, [&](const RelativePoseFactor<Pose>& odometry) { cycles_.Extend(odometry); });
+  visit(true, [&](const RelativePoseFactor<Pose>& loop) {
+    if (const auto innovation = cycles_.Innovation(loop)) cycles_.Note(*innovation, stated_limit_);
+  });
+  SetLimit();
+  cycles_.Forget([&](PoseId id) { return step.map.Graph().HasPose(id); });
+}
+
+template <class Pose>
+bool LoopJudge<Pose>::IsRefusedByOdometry(FactorId id, const Map& map) const {
+  if (!Adapts() || !cycles_.IsActive() || IsSlip(id)) return false;
+  const auto* loop = std::get_if<RelativePoseFactor<Pose>>(&map.Graph().FindFactor(id)->factor);
+  return loop != nullptr && cycles_.Refuses(cycles_.Innovation(*loop));
+}
+
+// When much more is known of the odometry than at the last time.
+template <class Pose>
+bool LoopJudge<Pose>::DropIfRefused(StepContext<Pose>& step) {
+  reviewed_cycle_limit_ = std::max(reviewed_cycle_limit_, cycles_.Limit());
+  return cycles_.Limit() * kNews <= reviewed_cycle_limit_ && DropRefused(step);
+}
+
+template <class Pose>
+bool LoopJudge<Pose>::DropRefused(StepContext<Pose>& step) {
+  if (!Adapts() || !cycles_.IsActive()) return false;
+  reviewed_cycle_limit_ = cycles_.Limit();
+  Loops refused;
+  for (size_t slot = 0; slot < slots_.size(); ++slot) {
+    if (!slots_[slot].is_loop) continue;
+    const FactorId id = step.map.IdAt(static_cast<int>(slot));
+    if (IsRefusedByOdometry(id, step.map)) refused.emplace_back(id, step.map);
+  }
+  return !refused.empty() && Exchange({}, refused, step);
 }
 
 // The limit is that of what was learned so far.
@@ -175,13 +226,15 @@ void LoopJudge<Pose>::NoteInnovation(double innovation, int count) {
 
 template <class Pose>
 void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, double increase, StepContext<Pose>& step) {
-  Loops loops;
+  Loops loops, refused;  // these by odometry, although they agree with the map
   int screened = 0;
+  NoteCycles(plan, step);
   for (size_t k = 0; k < plan.is_loop.size(); ++k) {
     if (!plan.IsLoop(k)) continue;
     const FactorId id = step.report.factor_ids[k];
     if (!plan.Waits(k)) {
       Enter(step.map.SlotOf(id), 1);
+      if (IsRefusedByOdometry(id, step.map)) refused.emplace_back(id, step.map);
       ++screened;
       if (step.options.log) LogScreened(id, step);
       continue;
@@ -191,6 +244,7 @@ void LoopJudge<Pose>::Admit(UpdatePlan<Pose>& plan, double increase, StepContext
     loops.back().is_new = true;
   }
   if (screened > 0 && plan.BringsLoopsOnly()) NoteInnovation(std::max(increase, 0.0) / screened, screened);
+  if (!refused.empty()) Exchange({}, refused, step);
   if (loops.empty()) return;
   if (Chooses()) {
     AdmitLoops(loops, step);
@@ -227,13 +281,18 @@ bool LoopJudge<Pose>::AdmitLoops(Loops loops, StepContext<Pose>& step) {
   for (size_t first = 0; first < loops.size(); first += kMostJudged) {
     Loops block(loops.begin() + static_cast<long>(first),
                 loops.begin() + static_cast<long>(std::min(loops.size(), first + kMostJudged)));
-    const bool admitted = Judge(block, Camps(), step);
+    const auto is_refused = [&](const Loop& loop) { return IsRefusedByOdometry(loop.id, step.map); };
+    const auto first_refused = std::stable_partition(block.begin(), block.end(), std::not_fn(is_refused));
+    const auto heard = static_cast<size_t>(first_refused - block.begin());
+    Loops believable(block.begin(), first_refused);
+    const bool admitted = !believable.empty() && Judge(believable, Camps(), step);
+    std::copy(believable.begin(), believable.end(), block.begin());
     changed = changed || admitted;
     // The residuals that a contest compares are those of the minimum: others wait until that is found.
     if (changed) continue;
     for (size_t k = 0; k < block.size() && !changed; ++k) {
       Loops contest = {block[k]};
-      const Camps camps = AddContestants(contest, step.map);
+      const Camps camps = k < heard ? AddContestants(contest, step.map) : Camps();
       Park(block[k].id, block[k].residual.squaredNorm());
       if (contest.size() > 1) changed = Judge(contest, camps, step);
       if (step.options.carry == Carry::kPoint) continue;
@@ -267,7 +326,7 @@ typename LoopJudge<Pose>::Camps LoopJudge<Pose>::AddContestants(Loops& contest, 
       if (parked_[k].id == loop.id) continue;
       const Loop other(parked_[k].id, map);
       const double now = other.residual.squaredNorm(), after = (other.residual - moved(other.linear)).squaredNorm();
-      if (after * kNews >= now) continue;
+      if (after * kNews >= now || IsRefusedByOdometry(other.id, map)) continue;
       along.emplace_back(after, other.id);
       if (AreNear(loop.linear, other.linear) || after <= limit_) ++mates;
     }
@@ -520,7 +579,7 @@ void LoopJudge<Pose>::Review(StepContext<Pose>& step) {
   bool retry = !parked_.empty() && step.map.Updates() % step.options.relinearize_interval == 0;
   for (int round = 0; round < kMostRounds; ++round) {
     if (step.IsOverBudget()) return;
-    bool changed = Chooses() ? ReviewMembers(step) : ReviewWeights(step);
+    bool changed = DropIfRefused(step) || (Chooses() ? ReviewMembers(step) : ReviewWeights(step));
     // Those that had to go are heard at once from where the others then are.
     if (!changed && (std::exchange(has_evicted_, false) || std::exchange(retry, false))) {
       const size_t first = next_parked_ < parked_.size() ? next_parked_ : 0;
@@ -535,10 +594,10 @@ void LoopJudge<Pose>::Review(StepContext<Pose>& step) {
 template <class Pose>
 template <class Archive>
 void LoopJudge<Pose>::Serialize(Archive& archive) {
-  auto& [options, stated_limit, limit, outer_limit, reviewed_limit, doubts_all, scale, slots, parked, next_parked,
-         has_evicted, slips] = *this;
-  archive(options, stated_limit, limit, outer_limit, reviewed_limit, doubts_all, scale, next_parked, has_evicted,
-          slips);
+  auto& [options, stated_limit, limit, outer_limit, reviewed_limit, doubts_all, scale, cycles, reviewed_cycle_limit,
+         slots, parked, next_parked, has_evicted, slips] = *this;
+  archive(options, stated_limit, limit, outer_limit, reviewed_limit, doubts_all, scale, cycles, reviewed_cycle_limit,
+          next_parked, has_evicted, slips);
   archive.Each(slots, [&](OfSlot& slot) {
     auto& [is_loop, is_listed, weight, judged_chi2, leverage] = slot;
     archive(is_loop, is_listed, weight, judged_chi2, leverage);

@@ -18,6 +18,7 @@
 #include "incremental/slip_search.h"
 #include "incremental/steps.h"
 #include "incremental/update_plan.h"
+#include "terse/core/cycle_test.h"
 #include "terse/core/innovation_scale.h"
 #include "terse/core/loop_contest.h"
 
@@ -54,6 +55,8 @@ class LoopJudge {
   // changed anything.
   bool JudgeParkedGroups(StepContext<Pose>& step);
   bool ReviewAllOdometry(StepContext<Pose>& step);
+  // kGnc: loops that are in although odometry alone contradicts them, by what is known of it now.
+  bool DropRefused(StepContext<Pose>& step);
 
   double RobustChi2(const Map& map) const;
   // By position in the graph's factors: 1 for what is in, 0 for what is out.
@@ -92,7 +95,10 @@ class LoopJudge {
   OfSlot& At(int slot) { return slots_[static_cast<std::size_t>(slot)]; }
   bool Adapts() const { return Chooses() && options_.width == 0; }
   void NoteInnovation(double innovation, int count);
-  void SetLimit() { limit_ = std::min(outer_limit_, scale_.Limit(stated_limit_, B)); }
+  void NoteCycles(const UpdatePlan<Pose>& plan, const StepContext<Pose>& step);
+  bool IsRefusedByOdometry(FactorId id, const Map& map) const;
+  bool DropIfRefused(StepContext<Pose>& step);
+  void SetLimit() { limit_ = std::min({outer_limit_, scale_.Limit(stated_limit_, B), cycles_.LimitInMap()}); }
   bool Chooses() const { return options_.kernel == RobustKernel::kGnc; }
   void Park(FactorId id, double chi2);
   bool IsSlip(FactorId id) const { return std::binary_search(slips_.begin(), slips_.end(), id); }
@@ -128,17 +134,19 @@ class LoopJudge {
   void SetWeight(int slot, double weight, Map& map);
 
   RobustOptions options_;
-  double stated_limit_ = 0;      // the width of the options, squared
-  double limit_ = 0;             // the width as it is, squared
-  double outer_limit_ = 0;       // from outside, squared
-  double reviewed_limit_ = 0;    // what it was when all loops that are in were last in doubt
-  bool doubts_all_ = false;      // they are to be looked at, not only those on poses that moved
-  InnovationScale scale_;        // kGnc, with a width that the options leave open
-  std::vector<OfSlot> slots_;    // empty without a kernel
-  std::vector<Parked> parked_;   // loops that are out, ascending
-  std::size_t next_parked_ = 0;  // of these, to be looked at
-  bool has_evicted_ = false;     // since loops that are out were looked at
-  std::vector<FactorId> slips_;  // kGnc: odometry among what is out, ascending
+  double stated_limit_ = 0;          // the width of the options, squared
+  double limit_ = 0;                 // the width as it is, squared
+  double outer_limit_ = 0;           // from outside, squared
+  double reviewed_limit_ = 0;        // what it was when all loops that are in were last in doubt
+  bool doubts_all_ = false;          // they are to be looked at, not only those on poses that moved
+  InnovationScale scale_;            // kGnc, with a width that the options leave open
+  CycleTest<Pose> cycles_;           // the same
+  double reviewed_cycle_limit_ = 0;  // when all that are in were last tested
+  std::vector<OfSlot> slots_;        // empty without a kernel
+  std::vector<Parked> parked_;       // loops that are out, ascending
+  std::size_t next_parked_ = 0;      // of these, to be looked at
+  bool has_evicted_ = false;         // since loops that are out were looked at
+  std::vector<FactorId> slips_;      // kGnc: odometry among what is out, ascending
 };
 
 }  // namespace terse::internal

@@ -20,6 +20,8 @@ namespace terse::internal {
 
 class InnovationScale {
  public:
+  // The limit shrinks to this share of the stated one at most.
+  explicit InnovationScale(double least_share = kLeast) : least_share_(least_share) {}
   // Those of `count` loops, squared and whitened, `dof` scalars each; none is above the stated limit.
   void Add(double innovation, int count = 1) {
     counts_[BinOf(innovation)] += count;
@@ -36,7 +38,7 @@ class InnovationScale {
       below += counts_[bin];
       if (static_cast<double>(below) < rank) continue;
       const double factor = UpperEdge(bin) / ChiSquareQuantile(0.5, dof);
-      return stated * std::clamp(kReserve * factor, kLeast, 1.0);
+      return stated * std::clamp(kReserve * factor, least_share_, 1.0);
     }
     return stated;
   }
@@ -67,6 +69,7 @@ class InnovationScale {
 
   std::array<std::int64_t, kBins> counts_{};
   std::int64_t total_ = 0;
+  double least_share_;
 };
 
 }  // namespace terse::internal
