@@ -91,13 +91,17 @@ bool AreApart(const InformationEstimate& a, const InformationEstimate& b) {
   return false;
 }
 
+// With fewer wrong loops the estimate itself leaves them out, and those in the tail of drift are not wrong.
+constexpr double kManyRefused = 0.05;
+
 // Wrong loops bend a map that information says nothing of, and all residuals with it; odometry alone tells some of them
 // apart. Right ones in the tail go with them, which matters where there are no others.
 template <class Pose>
 InformationEstimate EstimateTrimmed(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   InformationEstimate of_all = EstimateInformationScale(graph, options);
   const std::vector<FactorId> refused = internal::LoopsAgainstOdometry(graph);
-  if (refused.empty()) return of_all;
+  const auto loops = static_cast<double>(graph.Factors().size()) - static_cast<double>(graph.Poses().size());
+  if (static_cast<double>(refused.size()) <= kManyRefused * loops) return of_all;
   PoseGraph<Pose> believed = graph;
   for (const FactorId id : refused) believed.RemoveFactor(id);
   InformationEstimate trimmed = EstimateInformationScale(believed, options);

@@ -331,8 +331,7 @@ TEST(InformationScale, ExportsWithTheUnitMatrixGetPlausibleOnes) {
     EXPECT_EQ(found.verdict, InformationVerdict::kContradicted) << name << ": " << found.message;
     EXPECT_TRUE(found.stated.odometry.is_identity && found.stated.loops.is_identity);
     for (const KindScale& kind : {found.scale.odometry, found.scale.loops}) {
-      // 19 of lidarslam's 1136 loops hold 99 % of its chi2: the others agree to a millimetre.
-      EXPECT_GT(kind.translation, 5e-4) << name;
+      EXPECT_GT(kind.translation, 1e-3) << name;
       EXPECT_LT(kind.translation, 0.5) << name;
       EXPECT_LT(kind.rotation, 0.05) << name;
     }
