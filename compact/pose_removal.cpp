@@ -1,4 +1,4 @@
-#include "pose_removal.h"
+#include "terse/compact/pose_removal.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -22,21 +22,6 @@ using Eigen::VectorXd;
 template <class Matrix>
 double LogDeterminant(const Matrix& S) {
   return 2 * S.llt().matrixLLT().diagonal().array().log().sum();
-}
-
-// The factor that says d ~ N(mean, covariance) in T = E Exp(d): with the residual r and its Jacobian J at E the mean is
-// -J^-1 r. In both charts r = -J(-mean) mean has the J of -mean.
-template <class Pose>
-RelativePoseFactor<Pose> FactorOf(const Pose& E, const typename Pose::Tangent& mean,
-                                  const typename Pose::Jacobian& covariance) {
-  using Jacobian = typename Pose::Jacobian;
-  const typename Pose::Tangent r = -(Pose::LocalJacobian(-mean) * mean);
-  const Jacobian J_inverse = Pose::LocalJacobian(r).inverse();
-  const Jacobian information = J_inverse.transpose() * covariance.llt().solve(J_inverse);
-  RelativePoseFactor<Pose> factor;
-  factor.T_from_to = E * Pose().Retract(r).Inverse();
-  factor.information = (information + information.transpose()) / 2;
-  return factor;
 }
 
 // The spanning tree of least total weight, by Kruskal's algorithm, that holds `must`.
@@ -104,6 +89,28 @@ class Star {
 
 }  // namespace
 
+// With the residual r and its Jacobian J at E the mean is -J^-1 r. In both charts r = -J(-mean) mean has the J of
+// -mean.
+template <class Pose>
+RelativePoseFactor<Pose> FactorOf(const Pose& E, const typename Pose::Tangent& mean,
+                                  const typename Pose::Jacobian& information) {
+  using Jacobian = typename Pose::Jacobian;
+  const typename Pose::Tangent r = -(Pose::LocalJacobian(-mean) * mean);
+  const Jacobian J_inverse = Pose::LocalJacobian(r).inverse();
+  const Jacobian of_residual = J_inverse.transpose() * information * J_inverse;
+  RelativePoseFactor<Pose> factor;
+  factor.T_from_to = E * Pose().Retract(r).Inverse();
+  factor.information = (of_residual + of_residual.transpose()) / 2;
+  return factor;
+}
+
+template <class Pose>
+bool IsMild(const typename Pose::Tangent& mean, const typename Pose::Jacobian& information) {
+  static const double most = ChiSquareQuantile(0.9999, Pose::kDof);
+  constexpr double kMostRadians = 0.2;
+  return mean.template tail<Pose::kDof - Pose::kDim>().norm() < kMostRadians && mean.dot(information * mean) < most;
+}
+
 template <class Pose>
 void Arm<Pose>::Add(PoseId p, const RelativePoseFactor<Pose>& factor) {
   Tangent r;
@@ -133,20 +140,10 @@ typename Pose::Tangent Arm<Pose>::Mean() const {
 
 template <class Pose>
 RelativePoseFactor<Pose> Arm<Pose>::AsFactor(PoseId p, PoseId k) const {
-  RelativePoseFactor<Pose> factor = FactorOf<Pose>(E_p_k_, Mean(), Covariance());
+  RelativePoseFactor<Pose> factor = FactorOf<Pose>(E_p_k_, Mean(), information_);
   factor.from = p;
   factor.to = k;
   return factor;
-}
-
-// Whether a factor of such a mean is as good as linear: it does not disagree with the estimate by more than its
-// covariance can explain, nor by an angle that the chart would bend.
-template <class Pose>
-bool IsMild(const typename Pose::Tangent& mean, const typename Pose::Jacobian& covariance) {
-  static const double most = ChiSquareQuantile(0.9999, Pose::kDof);
-  constexpr double kMostRadians = 0.2;
-  return mean.template tail<Pose::kDof - Pose::kDim>().norm() < kMostRadians &&
-         mean.dot(covariance.llt().solve(mean)) < most;
 }
 
 // In the coordinates of the tree's edges, Sigma exact: the tree knows the blocks on its diagonal. L^-1 Sigma L^-T, with
@@ -193,15 +190,18 @@ std::optional<Tree<Pose>> RecoverTree(const std::vector<Arm<Pose>>& arms, std::o
   for (int e = 0; e < n; ++e) {
     const auto [i, j] = edges[At(e)];
     const Jacobian covariance = out.scale * Sigma.block<B, B>(B * e, B * e);
-    if (n > 1 && !IsMild<Pose>(mean.segment<B>(B * e), covariance)) return std::nullopt;
-    const auto factor = FactorOf<Pose>(star.Estimate(i, j), mean.segment<B>(B * e), covariance);
+    const Jacobian information = covariance.llt().solve(Jacobian::Identity());
+    if (n > 1 && !IsMild<Pose>(mean.segment<B>(B * e), information)) return std::nullopt;
+    const auto factor = FactorOf<Pose>(star.Estimate(i, j), mean.segment<B>(B * e), information);
     out.factors.push_back({i, j, factor.T_from_to, factor.information});
   }
   return out;
 }
 
-#define TERSE_INSTANTIATE(Pose) \
-  template class Arm<Pose>;     \
+#define TERSE_INSTANTIATE(Pose)                                                                         \
+  template class Arm<Pose>;                                                                             \
+  template RelativePoseFactor<Pose> FactorOf(const Pose&, const Pose::Tangent&, const Pose::Jacobian&); \
+  template bool IsMild<Pose>(const Pose::Tangent&, const Pose::Jacobian&);                              \
   template std::optional<Tree<Pose>> RecoverTree(const std::vector<Arm<Pose>>&, std::optional<std::pair<int, int>>);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -6,7 +6,7 @@
 #include <set>
 #include <stdexcept>
 
-#include "pose_removal.h"
+#include "terse/compact/pose_removal.h"
 #include "retired_chains.h"
 #include "terse/compact/information.h"
 #include "terse/core/at.h"

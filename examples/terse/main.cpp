@@ -64,6 +64,7 @@ int Run(int argc, char** argv) {
   terse::AddInfoCommand(app);
   terse::AddSolveCommand(app);
   terse::AddCompactCommand(app);
+  terse::AddSparsifyCommand(app);
   terse::AddOnlineCommand(app);
   terse::AddKittiCommand(app);
   terse::AddCovarianceCommand(app);

@@ -23,6 +23,8 @@ class Arm {
   void Add(PoseId p, const RelativePoseFactor<Pose>& factor);
 
   const Pose& Estimate() const { return E_p_k_; }
+  const Jacobian& Information() const { return information_; }
+  const Tangent& Vector() const { return vector_; }  // the information times the mean
   Jacobian Covariance() const;
   Tangent Mean() const;
   // As a factor between these, with the same minimum and curvature at the estimate.
@@ -31,8 +33,18 @@ class Arm {
  private:
   Pose E_p_k_;
   Jacobian information_ = Jacobian::Zero();
-  Tangent vector_ = Tangent::Zero();  // the information times the mean
+  Tangent vector_ = Tangent::Zero();
 };
+
+// The factor that says d ~ N(mean, information^-1) in T = E Exp(d); its ends are the caller's to name.
+template <class Pose>
+RelativePoseFactor<Pose> FactorOf(const Pose& E, const typename Pose::Tangent& mean,
+                                  const typename Pose::Jacobian& information);
+
+// Whether a factor of such a mean is as good as linear: it does not disagree with the estimate by more than its
+// covariance can explain, nor by an angle that the chart would bend.
+template <class Pose>
+bool IsMild(const typename Pose::Tangent& mean, const typename Pose::Jacobian& information);
 
 // From the i-th neighbour to the j-th.
 template <class Pose>

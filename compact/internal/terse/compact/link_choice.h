@@ -1,0 +1,42 @@
+#pragma once
+// Which links to keep: greedily by what they are worth in the presence of those chosen before, the first ones exactly,
+// later ones lazily (Minoux, 1978), then by exchanges.
+
+#include "terse/compact/link_system.h"
+#include "terse/compact/link_worth.h"
+
+namespace terse::internal {
+
+// After so many links the sum of squared position errors, or the log-determinant of the information.
+struct ChoiceStep {
+  int links;
+  double total;
+};
+
+struct LinkChoice {
+  std::vector<char> kept;          // by link
+  std::vector<double> worth;       // by link: at its choice; of one that is not kept as last looked at
+  std::vector<ChoiceStep> course;  // ascending; first nothing but what is fixed, last the choice
+  int exchanges = 0;               // that changed it for the better
+};
+
+struct ChoiceOptions {
+  int links = 0;                     // beyond those of LinkSystem::in_tree that hold poses
+  std::optional<double> most_total;  // instead: until the total is at most this (position)
+  SparsifyCriterion criterion = SparsifyCriterion::kPosition;
+  std::uint64_t seed = 1;
+  bool parallel = false;
+  std::function<bool(double share)> progress;  // false: give up
+};
+
+// The choice gave up.
+struct ChoiceStopped {};
+
+template <class Pose>
+LinkChoice ChooseLinks(const LinkSystem<Pose>& system, const ChoiceOptions& options);
+
+// The total with all links.
+template <class Pose>
+double TotalOfAll(const LinkSystem<Pose>& system, SparsifyCriterion criterion);
+
+}  // namespace terse::internal
