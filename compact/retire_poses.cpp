@@ -6,9 +6,9 @@
 #include <set>
 #include <stdexcept>
 
-#include "terse/compact/pose_removal.h"
 #include "retired_chains.h"
 #include "terse/compact/information.h"
+#include "terse/compact/pose_removal.h"
 #include "terse/core/at.h"
 #include "terse/covariance/marginals.h"
 

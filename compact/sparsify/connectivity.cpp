@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "terse/core/at.h"
+#include "terse/core/disjoint_sets.h"
 #include "terse/core/error.h"
 #include "terse/core/random.h"
 
@@ -52,24 +53,6 @@ MatrixXd RandomVectors(Index rows, Index columns, Random& random) {
   return MatrixXd::NullaryExpr(rows, columns, [&] { return random.Uniform() - 0.5; });
 }
 
-class Components {
- public:
-  explicit Components(int nodes) : parent_(At(nodes)) { std::iota(parent_.begin(), parent_.end(), 0); }
-  int Root(int node) {
-    while (parent_[At(node)] != node) node = parent_[At(node)] = parent_[At(parent_[At(node)])];
-    return node;
-  }
-  bool Join(int a, int b) {
-    a = Root(a);
-    b = Root(b);
-    parent_[At(a)] = b;
-    return a != b;
-  }
-
- private:
-  std::vector<int> parent_;
-};
-
 // A permutation: the edges of the heaviest spanning forest, of which there are `in_forest`, then the others, the
 // heaviest first. Equal ones come in random order, so that the first ones are everywhere.
 std::vector<int> HeaviestFirst(int nodes, const std::vector<WeightedEdge>& edges, int& in_forest) {
@@ -80,9 +63,9 @@ std::vector<int> HeaviestFirst(int nodes, const std::vector<WeightedEdge>& edges
     std::swap(order[k - 1], order[static_cast<std::size_t>(random.Uniform() * static_cast<double>(k))]);
   }
   std::stable_sort(order.begin(), order.end(), [&](int e, int f) { return edges[At(e)].weight > edges[At(f)].weight; });
-  Components components(nodes);
+  DisjointSets components(At(nodes));
   std::vector<char> joins(edges.size());
-  for (const int e : order) joins[At(e)] = components.Join(edges[At(e)].a, edges[At(e)].b) ? 1 : 0;
+  for (const int e : order) joins[At(e)] = components.Join(At(edges[At(e)].a), At(edges[At(e)].b)) ? 1 : 0;
   const auto end = std::stable_partition(order.begin(), order.end(), [&](int e) { return joins[At(e)] != 0; });
   in_forest = static_cast<int>(end - order.begin());
   return order;
@@ -294,10 +277,10 @@ class FiedlerSearch {
     return v;
   }
   FiedlerPair Disconnected(const std::vector<WeightedEdge>& edges) const {
-    Components components(nodes_);
-    for (const WeightedEdge& edge : edges) components.Join(edge.a, edge.b);
+    DisjointSets components(At(nodes_));
+    for (const WeightedEdge& edge : edges) components.Join(At(edge.a), At(edge.b));
     VectorXd v(nodes_);
-    for (int i = 0; i < nodes_; ++i) v(i) = components.Root(i) == components.Root(0) ? 1 : 0;
+    for (int i = 0; i < nodes_; ++i) v(i) = components.Root(At(i)) == components.Root(0) ? 1 : 0;
     RemoveMean(v);
     return {0, v.normalized()};
   }
@@ -320,9 +303,9 @@ void CheckEdges(int nodes, const std::vector<WeightedEdge>& edges) {
 }
 
 void CheckConnected(int nodes, const std::vector<WeightedEdge>& fixed) {
-  Components components(nodes);
+  DisjointSets components(At(nodes));
   int joined = 1;
-  for (const WeightedEdge& edge : fixed) joined += components.Join(edge.a, edge.b) ? 1 : 0;
+  for (const WeightedEdge& edge : fixed) joined += components.Join(At(edge.a), At(edge.b)) ? 1 : 0;
   if (joined < nodes) throw std::invalid_argument("connectivity: the fixed edges do not connect all nodes");
 }
 

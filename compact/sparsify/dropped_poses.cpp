@@ -1,54 +1,68 @@
 #include "dropped_poses.h"
 
 #include <algorithm>
-#include <optional>
+#include <map>
+#include <memory>
 
+#include "terse/compact/link_system.h"
 #include "terse/core/at.h"
 #include "terse/covariance/marginals.h"
 
 namespace terse::internal {
 namespace {
 
-// By pose index: the part that it is in.
+// Relative covariances within the connected parts of a graph, each with a gauge of its own.
 template <class Pose>
-std::vector<int> PartOf(const PoseGraph<Pose>& graph) {
-  std::vector<int> part_of(graph.Poses().size());
-  const auto parts = ConnectedComponents(graph);
-  for (std::size_t k = 0; k < parts.size(); ++k) {
-    for (const int v : parts[k]) part_of[At(v)] = static_cast<int>(k);
+class PartMarginals {
+ public:
+  explicit PartMarginals(const PoseGraph<Pose>& graph) : graph_(graph), parts_(SplitIntoParts(graph)) {
+    for (std::size_t k = 0; k < parts_.size(); ++k) {
+      for (const auto& node : parts_[k].Poses()) part_of_[node.id] = k;
+    }
+    marginals_.resize(parts_.size());
   }
-  return part_of;
-}
+  std::size_t PartOf(PoseId id) const { return part_of_.at(id); }
+  UncertainPose<Pose> Between(PoseId a, PoseId b) {
+    auto& marginals = marginals_[PartOf(a)];
+    if (marginals == nullptr) {
+      const auto& part = parts_[PartOf(a)];
+      std::vector<Pose> values;
+      for (const auto& node : part.Poses()) values.push_back(*node.T_world_body);
+      marginals = std::make_unique<Marginals<Pose>>(part, std::move(values));
+    }
+    return {ValueOf(a).Inverse() * ValueOf(b), marginals->Relative(a, b)};
+  }
+
+ private:
+  const Pose& ValueOf(PoseId id) const { return *graph_.Poses()[At(graph_.IndexOf(id))].T_world_body; }
+
+  const PoseGraph<Pose>& graph_;
+  const std::vector<PoseGraph<Pose>> parts_;
+  std::map<PoseId, std::size_t> part_of_;
+  std::vector<std::unique_ptr<Marginals<Pose>>> marginals_;  // those that were asked for
+};
 
 // A chain from the kept pose before to the one behind holds what the map before knew of the three.
 template <class Pose>
 std::vector<typename CompactMap<Pose>::SeenPose> SeenPoses(const PoseGraph<Pose>& linked, const PoseGraph<Pose>& kept,
                                                            const std::vector<Pose>& T_world_body_whole) {
   const auto& nodes = linked.Poses();
-  const std::vector<int> part_of = PartOf(linked);
-  std::vector<Pose> values;
-  for (const auto& node : nodes) values.push_back(*node.T_world_body);
-  std::optional<Marginals<Pose>> marginals;
-  if (kept.Poses().size() < nodes.size()) marginals.emplace(linked, values);
-  const auto between = [&](int a, int b) {
-    return UncertainPose<Pose>{values[At(a)].Inverse() * values[At(b)],
-                               marginals->Relative(nodes[At(a)].id, nodes[At(b)].id)};
-  };
+  PartMarginals<Pose> known(linked);
   std::vector<typename CompactMap<Pose>::SeenPose> seen(nodes.size());
   std::vector<int> last(nodes.size(), -1), last_kept(nodes.size(), -1);  // by part
   for (std::size_t v = 0; v < nodes.size(); ++v) {
     auto& pose = seen[v];
-    int &before = last[At(part_of[v])], &base = last_kept[At(part_of[v])];
+    int &before = last[known.PartOf(nodes[v].id)], &base = last_kept[known.PartOf(nodes[v].id)];
     pose.id = pose.base = nodes[v].id;
     pose.kept = kept.HasPose(pose.id);
-    pose.T_world_body = values[v];
+    pose.T_world_body = *nodes[v].T_world_body;
     pose.T_world_body_when_seen = T_world_body_whole[v];
     if (v > 0) pose.previous = before >= 0 ? nodes[At(before)].id : nodes[v - 1].id;
     if (pose.kept) {
       base = static_cast<int>(v);
     } else {
       pose.base = nodes[At(base)].id;
-      pose.T_base_pose = between(base, static_cast<int>(v));
+      pose.T_base_pose = known.Between(pose.base, pose.id);
       pose.carried = true;
     }
     before = static_cast<int>(v);
@@ -56,13 +70,13 @@ std::vector<typename CompactMap<Pose>::SeenPose> SeenPoses(const PoseGraph<Pose>
   std::vector<int> next(nodes.size(), -1);  // by part
   std::vector<UncertainPose<Pose>> to_next(nodes.size());
   for (int v = static_cast<int>(nodes.size()) - 1; v >= 0; --v) {
-    const std::size_t part = At(part_of[At(v)]);
+    const std::size_t part = known.PartOf(nodes[At(v)].id);
     auto& pose = seen[At(v)];
     if (pose.kept) {
       next[part] = v;
       to_next[part].covariance.setZero();
     } else if (next[part] >= 0) {
-      if (to_next[part].covariance.isZero(0)) to_next[part] = between(linked.IndexOf(pose.base), next[part]);
+      if (to_next[part].covariance.isZero(0)) to_next[part] = known.Between(pose.base, nodes[At(next[part])].id);
       pose.next_kept = nodes[At(next[part])].id;
       pose.T_base_next = to_next[part];
     }

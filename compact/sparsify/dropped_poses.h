@@ -6,8 +6,7 @@
 
 namespace terse::internal {
 
-// `linked`: the graph before poses went, at its optimum, as `elimination` started from it. `holding`: the edges that
-// are no links (HoldingEdges), ascending.
+// `linked`: the graph before poses went, at its optimum, as `elimination` started from it. `holding`: LinkSystem's.
 template <class Pose>
 CompactMap<Pose> MapOf(const PoseGraph<Pose>& linked, const Elimination<Pose>& elimination,
                        const std::vector<FactorId>& holding, const std::vector<Pose>& T_world_body_whole);

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <queue>
 
 #include "terse/compact/connectivity.h"
 #include "terse/core/at.h"
+#include "terse/core/error.h"
 #include "terse/core/random.h"
 
 namespace terse::internal {
@@ -160,7 +160,9 @@ template <class Pose>
 void Greedy<Pose>::Choose() {
   while (!IsEnough()) {
     const int step = std::min(most_ - worth_.KeptCount(), std::max(kLeastStep, static_cast<int>(kGrowth * Chosen())));
+    const int before = Chosen();
     Chosen() < kExact ? ChooseExactly(step) : ChooseLazily(step);
+    if (Chosen() == before) throw NumericalError("what the links are worth is not finite");
     if (Chosen() >= next_note_) Note();
   }
 }
@@ -270,6 +272,14 @@ std::vector<char> Connect(const LinkSystem<Pose>& system, int links, std::uint64
   for (std::size_t k = 0; k < kept.size(); ++k) {
     (kept[k] ? fixed : others).push_back(weighted(system.links[k]));
     if (!kept[k]) of_other.push_back(static_cast<int>(k));
+  }
+  // Parts hang together as well as any two poses do.
+  double largest = 0;
+  for (const auto* edges : {&fixed, &others}) {
+    for (const WeightedEdge& edge : *edges) largest = std::max(largest, edge.weight);
+  }
+  for (const int root : system.roots) {
+    if (root != system.roots.front()) fixed.push_back({system.roots.front(), root, largest});
   }
   const auto choice = ChooseByConnectivity(system.poses, fixed, others, links, Rounding::kBest, seed);
   for (std::size_t k = 0; k < others.size(); ++k) {

@@ -3,9 +3,9 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 
 #include "terse/core/at.h"
+#include "terse/core/disjoint_sets.h"
 #include "terse/core/gauge.h"
 #include "terse/core/robust.h"
 
@@ -33,18 +33,10 @@ std::vector<FactorId> SpanningForest(const PoseGraph<Pose>& graph) {
     edges.push_back({log_det, node.id, graph.IndexOf(edge->from), graph.IndexOf(edge->to)});
   }
   std::stable_sort(edges.begin(), edges.end(), [](const Edge& a, const Edge& b) { return a.weight > b.weight; });
-  std::vector<int> parent(graph.Poses().size());
-  std::iota(parent.begin(), parent.end(), 0);
-  const auto root = [&](int v) {
-    while (parent[At(v)] != v) v = parent[At(v)] = parent[At(parent[At(v)])];
-    return v;
-  };
+  DisjointSets parts(graph.Poses().size());
   std::vector<FactorId> forest;
   for (const Edge& edge : edges) {
-    const int a = root(edge.a), b = root(edge.b);
-    if (a == b) continue;
-    parent[At(a)] = b;
-    forest.push_back(edge.id);
+    if (parts.Join(At(edge.a), At(edge.b))) forest.push_back(edge.id);
   }
   std::sort(forest.begin(), forest.end());
   return forest;
@@ -111,6 +103,10 @@ std::vector<PoseGraph<Pose>> SplitIntoParts(const PoseGraph<Pose>& graph) {
   return parts;
 }
 
+namespace {
+
+// With kOdometry those that bring a pose in, of which LoopFactors has the others; else a spanning forest of largest
+// information.
 template <class Pose>
 std::vector<FactorId> HoldingEdges(const PoseGraph<Pose>& graph, FixedEdges fixed) {
   if (fixed != FixedEdges::kOdometry) return SpanningForest(graph);
@@ -128,12 +124,14 @@ std::vector<FactorId> HoldingEdges(const PoseGraph<Pose>& graph, FixedEdges fixe
   return holding;
 }
 
+}  // namespace
+
 template <class Pose>
 LinkSystem<Pose> MakeLinkSystem(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body, FixedEdges fixed) {
   LinkSystem<Pose> system;
   system.poses = static_cast<int>(graph.Poses().size());
   system.motions.assign(graph.Poses().size(), LinkSystem<Pose>::Motions::Zero());
-  const std::vector<FactorId> holding = HoldingEdges(graph, fixed);
+  system.holding = HoldingEdges(graph, fixed);
   std::vector<std::vector<FactorId>> priors_of(graph.Poses().size());
   for (const auto& node : graph.Factors()) {
     const FactorPoses ends = PosesOf(node.factor);
@@ -141,7 +139,7 @@ LinkSystem<Pose> MakeLinkSystem(const PoseGraph<Pose>& graph, const std::vector<
     const Pose& T_a = T_world_body[At(a)];
     const auto linear = Linearize<Pose>(node.factor, a, b, T_a, b < 0 ? T_a : T_world_body[At(b)]);
     if (b < 0) priors_of[At(a)].push_back(node.id);
-    const bool holds = b < 0 || std::binary_search(holding.begin(), holding.end(), node.id);
+    const bool holds = b < 0 || std::binary_search(system.holding.begin(), system.holding.end(), node.id);
     if (b >= 0 && (!holds || fixed == FixedEdges::kNone)) {
       system.links.push_back(linear);
       system.ids.push_back(node.id);
@@ -161,6 +159,7 @@ LinkSystem<Pose> MakeLinkSystem(const PoseGraph<Pose>& graph, const std::vector<
     const Gauge<Pose> gauge = GaugeOf(graph, part, T_world_body, priors_of);
     LinearFactor<Pose::kDof> anchor = Anchor(gauge);
     anchor.first = part.front();
+    system.roots.push_back(part.front());
     system.fixed.push_back(anchor);
     if (!gauge.IsDetermined()) SetMotions(part, T_world_body, system.motions);
   }
@@ -169,7 +168,6 @@ LinkSystem<Pose> MakeLinkSystem(const PoseGraph<Pose>& graph, const std::vector<
 
 #define TERSE_INSTANTIATE(Pose)                                                                           \
   template LinkSystem<Pose> MakeLinkSystem(const PoseGraph<Pose>&, const std::vector<Pose>&, FixedEdges); \
-  template std::vector<FactorId> HoldingEdges(const PoseGraph<Pose>&, FixedEdges);                        \
   template std::vector<PoseGraph<Pose>> SplitIntoParts(const PoseGraph<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -93,7 +93,7 @@ void LinkWorth<Pose>::Propagate(int link, const std::vector<int>& others) {
       // p L^-T, with S = L L'.
       const Block p = S.matrixL().solve(times_u(system_.links[At(other)]).transpose()).transpose();
       states_[At(other)].C -= p * p.transpose();
-      if (is_position && other != link) MovedOf(other) -= p * moved;
+      if (is_position) MovedOf(other) -= p * moved;
     }
   });
 }

@@ -27,8 +27,9 @@ class Eliminator {
   struct Edge {
     RelativePoseFactor<Pose> measured;
     std::optional<FactorId> id;  // in the graph that came
-    std::vector<PoseId> through;
-    int from, to;  // pose indices
+    int made_by = -1;            // the pose whose elimination made it
+    std::vector<int> made_of;    // the edges on the ways that it stands for
+    int from = 0, to = 0;        // pose indices
     bool is_alive = true;
   };
   struct Plan {
@@ -49,7 +50,8 @@ class Eliminator {
   void RemoveEdge(int edge);
   void LookAt(int pose);
   void Eliminate(int pose);
-  std::vector<PoseId> ThroughOf(int pose, int a, int b) const;
+  std::vector<int> WaysOf(int pose, int a, int b) const;
+  std::vector<PoseId> ThroughOf(int edge) const;
   void MakeGraph();
 
   const PoseGraph<Pose>& graph_;
@@ -79,7 +81,7 @@ Eliminator<Pose>::Eliminator(const PoseGraph<Pose>& graph, const EliminationOpti
     const FactorPoses ends = PosesOf(node.factor);
     const int first = graph.IndexOf(ends.first);
     if (ends.count == 2) {
-      AddEdge({std::get<RelativePoseFactor<Pose>>(node.factor), node.id, {}, first, graph.IndexOf(ends.second)});
+      AddEdge({std::get<RelativePoseFactor<Pose>>(node.factor), node.id, -1, {}, first, graph.IndexOf(ends.second)});
     } else {
       stays_[At(first)] = 1;
     }
@@ -171,12 +173,27 @@ void Eliminator<Pose>::LookAt(int pose) {
 }
 
 template <class Pose>
-std::vector<PoseId> Eliminator<Pose>::ThroughOf(int pose, int a, int b) const {
-  std::vector<PoseId> through = {IdOf(pose)};
+std::vector<int> Eliminator<Pose>::WaysOf(int pose, int a, int b) const {
+  std::vector<int> ways;
   for (const auto& [from, to] : {std::pair(pose, a), std::pair(pose, b), std::pair(a, b)}) {
-    for (const int number : EdgesBetween(from, to)) {
-      const std::vector<PoseId>& more = edges_[At(number)].through;
-      through.insert(through.end(), more.begin(), more.end());
+    const std::vector<int> edges = EdgesBetween(from, to);
+    ways.insert(ways.end(), edges.begin(), edges.end());
+  }
+  return ways;
+}
+
+// Gathered at the end, once for each edge that is left: carried along, they would be copied at every elimination.
+template <class Pose>
+std::vector<PoseId> Eliminator<Pose>::ThroughOf(int edge) const {
+  std::vector<int> to_look_at = {edge};
+  std::set<int> seen = {edge};
+  std::vector<PoseId> through;
+  while (!to_look_at.empty()) {
+    const Edge& made = edges_[At(to_look_at.back())];
+    to_look_at.pop_back();
+    if (made.made_by >= 0) through.push_back(IdOf(made.made_by));
+    for (const int part : made.made_of) {
+      if (seen.insert(part).second) to_look_at.push_back(part);
     }
   }
   std::sort(through.begin(), through.end());
@@ -191,7 +208,8 @@ void Eliminator<Pose>::Eliminate(int pose) {
   std::vector<Edge> edges;
   for (const TreeFactor<Pose>& factor : plan.recovered.factors) {
     const int a = plan.neighbours[At(factor.i)], b = plan.neighbours[At(factor.j)];
-    edges.push_back({{IdOf(a), IdOf(b), factor.T_i_j, factor.information}, std::nullopt, ThroughOf(pose, a, b), a, b});
+    edges.push_back(
+        {{IdOf(a), IdOf(b), factor.T_i_j, factor.information}, std::nullopt, pose, WaysOf(pose, a, b), a, b});
   }
   for (const int number : plan.spent) RemoveEdge(number);
   for (Edge& edge : edges) AddEdge(std::move(edge));
@@ -244,10 +262,11 @@ void Eliminator<Pose>::MakeGraph() {
     if (spent.count(node.id) == 0) out_.graph.AddFactor(node.factor, node.id);
   }
   FactorId next = graph_.NextFactorId();
-  for (Edge& edge : edges_) {
+  for (int number = 0; number < static_cast<int>(edges_.size()); ++number) {
+    const Edge& edge = edges_[At(number)];
     if (edge.id || !edge.is_alive) continue;
     out_.graph.AddFactor(edge.measured, next);
-    out_.recovered.push_back({next, std::move(edge.through)});
+    out_.recovered.push_back({next, ThroughOf(number)});
     ++next.value;
   }
 }

@@ -111,6 +111,7 @@ class Sparsification {
   const PoseGraph<Pose>& graph_;
   const SparsifyOptions& options_;
   Sparsified<Pose> out_;
+  std::vector<FactorId> holding_;
 };
 
 template <class Pose>
@@ -151,6 +152,7 @@ internal::LinkChoice Sparsification<Pose>::Choose(const internal::LinkSystem<Pos
 template <class Pose>
 PoseGraph<Pose> Sparsification<Pose>::KeepLinks() {
   const auto system = internal::MakeLinkSystem(graph_, out_.T_world_body_whole, options_.fixed);
+  holding_ = system.holding;
   const internal::LinkChoice chosen = Choose(system);
   out_.exchanges = chosen.exchanges;
   for (std::size_t k = 0; k < system.links.size(); ++k) {
@@ -197,8 +199,7 @@ void Sparsification<Pose>::DropPoses(const PoseGraph<Pose>& linked) {
   for (const auto& pose : eliminated.eliminated)
     out_.dropped.push_back({pose.pose, pose.loss, static_cast<int>(pose.neighbours.size())});
   out_.loss = eliminated.loss;
-  out_.map =
-      internal::MapOf(linked, eliminated, internal::HoldingEdges(graph_, options_.fixed), out_.T_world_body_whole);
+  out_.map = internal::MapOf(linked, eliminated, holding_, out_.T_world_body_whole);
   out_.graph = std::move(eliminated.graph);
   if (!out_.dropped.empty()) out_.chi2 = Chi2(out_.graph);
 }

@@ -5,9 +5,9 @@
 #include <limits>
 #include <stdexcept>
 
-#include "support/disjoint_sets.h"
 #include "terse/core/arrival.h"
 #include "terse/core/chi_square.h"
+#include "terse/core/disjoint_sets.h"
 
 namespace terse {
 namespace {

@@ -7,8 +7,8 @@
 #include <set>
 #include <stdexcept>
 
-#include "support/disjoint_sets.h"
 #include "terse/core/at.h"
+#include "terse/core/disjoint_sets.h"
 
 namespace terse::internal {
 namespace {

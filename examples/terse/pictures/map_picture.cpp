@@ -116,7 +116,8 @@ struct GainRange {
 
 class MapPicture {
  public:
-  explicit MapPicture(const std::vector<RunFolder>& runs) : runs_(runs), view_(runs), gains_(runs) {
+  MapPicture(const std::vector<RunFolder>& runs, const std::string& gain_unit)
+      : runs_(runs), gain_unit_(gain_unit), view_(runs), gains_(runs) {
     out_.imbue(std::locale::classic());
     out_.setf(std::ios::fixed);
     out_.precision(1);
@@ -270,9 +271,9 @@ class MapPicture {
     if (!gains_.known) return;
     constexpr int kParts = 24;
     constexpr double kPart = 4.5;
-    char low[32], high[32];
+    char low[32], high[48];
     std::snprintf(low, sizeof low, "%.3g", gains_.low);
-    std::snprintf(high, sizeof high, "%.3g nats", gains_.high);
+    std::snprintf(high, sizeof high, "%.3g %s", gains_.high, gain_unit_.c_str());
     if (!(gains_.high > gains_.low)) {
       Text(kWidth - kMargin, y, std::string("gain of the loops ") + high, " text-anchor=\"end\"");
       return;
@@ -306,6 +307,7 @@ class MapPicture {
   }
 
   const std::vector<RunFolder>& runs_;
+  const std::string& gain_unit_;
   View view_;
   GainRange gains_;
   bool has_ellipses_ = false;
@@ -314,6 +316,8 @@ class MapPicture {
 
 }  // namespace
 
-std::string DrawMaps(const std::vector<RunFolder>& runs) { return MapPicture(runs).Draw(); }
+std::string DrawMaps(const std::vector<RunFolder>& runs, const std::string& gain_unit) {
+  return MapPicture(runs, gain_unit).Draw();
+}
 
 }  // namespace terse

@@ -9,7 +9,7 @@
 namespace terse {
 
 // Side by side at one scale, in the plane of the two largest extents of the first run. Legible on white and on black.
-// Ellipses hold a position with 95 %; of some kept poses, evenly spread.
-std::string DrawMaps(const std::vector<RunFolder>& runs);
+// Ellipses hold a position with 95 %; of some kept poses, evenly spread. `gain_unit`: of the loops.
+std::string DrawMaps(const std::vector<RunFolder>& runs, const std::string& gain_unit = "nats");
 
 }  // namespace terse

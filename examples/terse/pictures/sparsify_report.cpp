@@ -1,12 +1,14 @@
 #include "pictures/sparsify_report.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
+#include <map>
 #include <sstream>
 
 #include "pictures/map_picture.h"
 #include "pictures/svg_chart.h"
-#include "terse/core/at.h"
+#include "terse/compact/words.h"
 
 namespace terse {
 namespace {
@@ -35,7 +37,7 @@ RunFolder Picture(const std::string& name, const PoseGraph<Pose>& all, const std
 
 // The whole graph and what was kept of it, links coloured by what they are worth.
 template <class Pose>
-std::string DrawBoth(const PoseGraph<Pose>& graph, const Sparsified<Pose>& small) {
+std::string DrawBoth(const PoseGraph<Pose>& graph, const Sparsified<Pose>& small, const std::string& unit) {
   RunFolder before = Picture("before", graph, small.T_world_body_whole);
   RunFolder after = Picture("after", graph, small.T_world_body);
   const auto link_of = [&](PoseId from, PoseId to, double worth) {
@@ -59,7 +61,7 @@ std::string DrawBoth(const PoseGraph<Pose>& graph, const Sparsified<Pose>& small
       after.chain.push_back({graph.IndexOf(edge.measured.from), graph.IndexOf(edge.measured.to), 0});
     }
   }
-  return DrawMaps({before, after});
+  return DrawMaps({before, after}, unit);
 }
 
 ChartLine Ranked(const std::string& name, std::vector<double> values) {
@@ -74,13 +76,13 @@ ChartLine Ranked(const std::string& name, std::vector<double> values) {
 }
 
 template <class Pose>
-std::string DrawLinks(const Sparsified<Pose>& small) {
+std::string DrawLinks(const Sparsified<Pose>& small, const std::string& unit) {
   std::vector<ChartPanel> panels;
   std::vector<double> kept, left;
   for (const ConsideredLink& link : small.links) (link.kept ? kept : left).push_back(link.worth);
   const bool has_worth = std::any_of(small.links.begin(), small.links.end(), [](const auto& l) { return l.worth > 0; });
   if (has_worth) {
-    ChartPanel panel{"Links by worth", "rank", "worth (m² or nats)", {Ranked("kept, at their choice", kept)}};
+    ChartPanel panel{"Links by worth", "rank", "worth (" + unit + ")", {Ranked("kept, at their choice", kept)}};
     panel.lines.push_back(Ranked("left out, beside those kept", left));
     panel.log_y = panel.log_x = true;
     panels.push_back(panel);
@@ -102,7 +104,7 @@ std::string DrawLinks(const Sparsified<Pose>& small) {
     panel.log_y = panel.log_x = true;
     panels.push_back(panel);
   }
-  if (!small.dropped.empty()) {
+  if (small.loss > 0) {
     ChartPanel panel{"Loss of the dropped poses", "poses dropped", "lost so far (nats)", {}};
     ChartLine line;
     line.name = "divergence from the exact marginal, summed";
@@ -114,7 +116,7 @@ std::string DrawLinks(const Sparsified<Pose>& small) {
     panel.lines = {line};
     panels.push_back(panel);
   }
-  return panels.empty() ? "" : DrawCharts("", panels);
+  return panels.empty() ? "" : DrawCharts("Links, error and loss", panels);
 }
 
 std::string Number(const Json& value) {
@@ -156,13 +158,14 @@ svg { max-width: 100%; height: auto; }
 template <class Pose>
 void WriteSparsifyReport(const std::string& name, const PoseGraph<Pose>& graph, const Sparsified<Pose>& small,
                          const Json& stats, const std::string& path) {
+  const std::string unit = stats["criterion"] == WordOf(SparsifyCriterion::kPosition) ? "m²" : "nats";
   std::ostringstream out;
   out << kHead << "<title>" << EscapeXml(name) << ", sparsified</title></head><body>\n<h1>" << EscapeXml(name)
       << ", sparsified by " << EscapeXml(stats["criterion"].get<std::string>()) << "</h1>\n"
       << "<table><tr><th></th><th>before</th><th>after</th></tr>\n"
       << Rows(stats) << "</table>\n<h2>The map before and after</h2>\n"
-      << DrawBoth(graph, small) << "\n<h2>Links, error and loss</h2>\n"
-      << DrawLinks(small) << "\n<p>terse " << TERSE_VERSION << "</p>\n</body></html>\n";
+      << DrawBoth(graph, small, unit) << "\n"
+      << DrawLinks(small, unit) << "\n<p>terse " << TERSE_VERSION << "</p>\n</body></html>\n";
   WriteText(out.str(), path);
 }
 

@@ -20,20 +20,17 @@ struct LinkSystem {
   int poses = 0;
   std::vector<LinearFactor<B>> fixed;  // edges that are kept in any case, priors, an anchor for each part
   std::vector<LinearFactor<B>> links;
-  std::vector<FactorId> ids;  // by link
+  std::vector<FactorId> ids;      // by link
+  std::vector<FactorId> holding;  // edges that hold every pose, ascending: odometry, or a spanning forest
   // Whether a link holds a part together with `fixed` (FixedEdges::kNone): one of a spanning tree, kept at first.
   std::vector<char> in_tree;
   std::vector<Motions> motions;  // by pose
+  std::vector<int> roots;        // the first pose of each part
 };
 
 // `T_world_body`: the optimum, by pose index. Throws NumericalError if a part has no gauge.
 template <class Pose>
 LinkSystem<Pose> MakeLinkSystem(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body, FixedEdges fixed);
-
-// The edges that hold every pose: with kOdometry those that bring a pose in (LoopFactors has the others), with kTree
-// and kNone a spanning forest of largest information. Ascending.
-template <class Pose>
-std::vector<FactorId> HoldingEdges(const PoseGraph<Pose>& graph, FixedEdges fixed);
 
 // The connected parts as graphs of their own, with the ids that poses and factors have.
 template <class Pose>

@@ -18,11 +18,13 @@ class DisjointSets {
     return a != b;
   }
 
- private:
+  // The same for all of a set.
   std::size_t Root(std::size_t i) {
     while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
     return i;
   }
+
+ private:
   std::vector<std::size_t> parent_;
 };
 
