@@ -301,7 +301,7 @@ TYPED_TEST(PoseEliminationTest, IsNeverWorseThanChowLiu) {
 
 TYPED_TEST(PoseEliminationTest, ConservativeIsNeverSurerThanTheWholeGraph) {
   using Pose = TypeParam;
-  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+  for (const std::uint64_t seed : testing::Seeds(1, 4)) {
     const PoseGraph<Pose> graph = Scene<Pose>(seed, 0.8, 24);
     for (const RecoveredFactors recovered : kEvery) {
       SCOPED_TRACE(std::to_string(seed) + " " + std::to_string(static_cast<int>(recovered)));

@@ -140,6 +140,7 @@ TYPED_TEST(SparsifyTest, TakesWhatUsersBring) {
   for (const auto criterion : {SparsifyCriterion::kPosition, SparsifyCriterion::kInformation,
                                SparsifyCriterion::kConnectivity, SparsifyCriterion::kRandom}) {
     for (const auto fixed : {FixedEdges::kOdometry, FixedEdges::kTree, FixedEdges::kNone}) {
+      if (kSlowBuild && fixed == FixedEdges::kTree) continue;
       SparsifyOptions options = Budget(0.5, 0.6);
       options.criterion = criterion;
       options.fixed = fixed;
@@ -176,9 +177,9 @@ TYPED_TEST(SparsifyTest, WrongOptionsAreNamed) {
   EXPECT_THROW(Sparsify(graph, stopped), StoppedError);
 }
 
-// The errors of the kept poses in the metric of the information that is left of 200 runs: no larger than it says.
+// The errors of the kept poses in the metric of the information that is left, over many runs: no larger than it says.
 TYPED_TEST(SparsifyTest, IsNotOverconfident) {
-  constexpr int kRuns = 200, B = TypeParam::kDof;
+  constexpr int kRuns = kSlowBuild ? 20 : 200, B = TypeParam::kDof;
   double sum = 0;
   int dof = 0;
   for (std::uint64_t seed = 1; seed <= kRuns; ++seed) {

@@ -225,7 +225,7 @@ class FiedlerSearch {
   explicit FiedlerSearch(int nodes) : nodes_(nodes), start_(nodes, 0) {}
   void StartFrom(const MatrixXd& X) {
     start_ = X.leftCols(std::min(X.cols(), kKept));
-    is_given_ = true;
+    is_given_ = X.cols() > 0;
   }
 
   FiedlerPair Find(const std::vector<WeightedEdge>& edges, const Accuracy& accuracy) {
