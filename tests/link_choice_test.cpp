@@ -6,7 +6,9 @@
 
 #include <algorithm>
 #include <numeric>
+#include <set>
 
+#include "terse/compact/near_links.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/parallel.h"
 #include "testing.h"
@@ -188,6 +190,99 @@ TYPED_TEST(LinkChoiceTest, IsCloseToTheBestOfAllChoices) {
   EXPECT_LT(worst, 1.2);
 }
 
+// With the worth of all links kept up to date at every choice, which the choice itself does for the first ones only.
+template <class Pose>
+std::vector<char> ChooseExactly(const LinkSystem<Pose>& system, SparsifyCriterion criterion, int links) {
+  LinkWorth<Pose> worth(system, criterion, system.in_tree, false);
+  const auto all = All(system.links.size());
+  for (int k = 0; k < links; ++k) {
+    if (k % 64 == 0) {
+      worth.Refresh();
+      worth.Sample();
+      worth.Evaluate(all);
+    }
+    int best = -1;
+    for (const int link : all) {
+      if (worth.Kept()[static_cast<std::size_t>(link)]) continue;
+      if (best < 0 || worth.Worth(link) > worth.Worth(best)) best = link;
+    }
+    worth.Keep(best, all);
+  }
+  return worth.Kept();
+}
+
+TYPED_TEST(LinkChoiceTest, RoundsBySamplesAreAsGoodAsExactOnes) {
+  const int poses = kSlowBuild ? 50 : 400, links = kSlowBuild ? 30 : 350;  // beyond those that are chosen exactly
+  const auto scene = MakeScene<TypeParam>(32, poses, 1.5);
+  for (const auto criterion : kGreedy) {
+    ChoiceOptions options;
+    options.links = links;
+    options.criterion = criterion;
+    const LinkChoice choice = internal::ChooseLinks(scene.system, options);
+    ASSERT_EQ(std::count(choice.kept.begin(), choice.kept.end(), 1), links);
+    const double chosen = Total(scene.system, criterion, choice.kept);
+    const double exact = Total(scene.system, criterion, ChooseExactly(scene.system, criterion, links));
+    const double none = Total(scene.system, criterion, scene.system.in_tree);
+    if (criterion == SparsifyCriterion::kPosition) {
+      EXPECT_LT(chosen, 1.03 * exact);
+    } else {
+      EXPECT_GT(chosen - none, 0.99 * (exact - none));
+    }
+  }
+}
+
+TYPED_TEST(LinkChoiceTest, NearLinksAreThoseOfTheNearestPoses) {
+  const auto scene = MakeScene<TypeParam>(33, 60, 1.0);
+  const auto& system = scene.system;
+  const auto kept = EveryOther(system.links.size());
+  std::vector<std::vector<int>> joined(static_cast<std::size_t>(system.poses));
+  const auto join = [&](const auto& f) {
+    if (f.second < 0) return;
+    joined[static_cast<std::size_t>(f.first)].push_back(f.second);
+    joined[static_cast<std::size_t>(f.second)].push_back(f.first);
+  };
+  for (const auto& f : system.fixed) join(f);
+  for (std::size_t k = 0; k < kept.size(); ++k) {
+    if (kept[k]) join(system.links[k]);
+  }
+  internal::NearLinks near(system, kept);
+  for (const int link : All(kept.size())) {
+    // The poses within one edge of the ends are the first ones whatever the order among them.
+    const auto& f = system.links[static_cast<std::size_t>(link)];
+    std::set<int> within{f.first, f.second};
+    for (const int end : {f.first, f.second}) {
+      for (const int pose : joined[static_cast<std::size_t>(end)]) within.insert(pose);
+    }
+    std::vector<int> expected;
+    for (const int other : All(kept.size())) {
+      const auto& g = system.links[static_cast<std::size_t>(other)];
+      const bool is_near = within.count(g.first) + within.count(g.second) > 0;
+      if (other != link && !kept[static_cast<std::size_t>(other)] && is_near) expected.push_back(other);
+    }
+    std::vector<int> found = near.Of(link, static_cast<int>(within.size()));
+    std::sort(found.begin(), found.end());
+    EXPECT_EQ(found, expected) << link;
+  }
+}
+
+// Where all links are at one pose, looking at all of them for each of them would be quadratic.
+TEST(LinkChoice, AHubIsNotLookedThroughForEachOfItsLinks) {
+  LinkSystem<SE2> system;
+  system.poses = 5000;
+  LinearFactor<3> f;
+  for (int v = 1; v < system.poses; ++v) {
+    f.first = v - 1, f.second = v;
+    system.fixed.push_back(f);
+    f.first = 0;
+    system.links.push_back(f);
+  }
+  internal::NearLinks near(system, std::vector<char>(system.links.size(), 0));
+  for (const int link : {0, 17, 4998}) {
+    EXPECT_GE(near.Of(link, 8).size(), 8u);
+    EXPECT_LE(near.Of(link, 8).size(), 8u * 16);
+  }
+}
+
 TYPED_TEST(LinkChoiceTest, ThreadsDoNotChangeIt) {
   const auto scene = MakeScene<TypeParam>(31, kSlowBuild ? 100 : 300, 1.2);
   for (const auto criterion : kGreedy) {
@@ -221,7 +316,7 @@ TYPED_TEST(LinkChoiceTest, HoldsEveryPoseWithNothingFixed) {
 
 TYPED_TEST(LinkChoiceTest, EndsWhereTheErrorIsSmallEnough) {
   const auto scene = MakeScene<TypeParam>(51, 80, 1.0);
-  const double whole = internal::TotalOfAll(scene.system, SparsifyCriterion::kPosition);
+  const double whole = TotalsOf(scene.system, std::vector<char>(scene.system.links.size(), 1)).position;
   ChoiceOptions options;
   options.most_total = 1.2 * whole;
   const LinkChoice choice = internal::ChooseLinks(scene.system, options);

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <queue>
 
 #include "terse/compact/connectivity.h"
+#include "terse/compact/near_links.h"
 #include "terse/core/at.h"
 #include "terse/core/error.h"
 #include "terse/core/random.h"
@@ -13,28 +15,34 @@ namespace terse::internal {
 namespace {
 
 // So many are chosen with the worth of all that promise something kept up to date; later ones change little beyond
-// their surroundings.
+// their surroundings, and the samples of a round say by how much.
 constexpr int kExact = 256;
-// Links are chosen in rounds: so many for each that was chosen before, four at least, out of so many times as many that
-// promise most when the round begins.
-constexpr double kGrowth = 0.25;
+// Links are chosen in rounds: so many for each that was chosen before, four at least. The first ones out of so many
+// times as many that promise most when the round begins.
+constexpr double kExactGrowth = 0.5, kGrowth = 0.25;
 constexpr int kLeastStep = 4;
 constexpr int kPool = 6, kLeastPool = 1024;
+// The surroundings of a link: so many times as many poses as there are for each link chosen before.
+constexpr double kReach = 16;
+constexpr int kLeastReach = 8;
 // Looked at together, so that threads have something to share; a constant, so that they do not change the result.
 constexpr int kBatch = 4;
 // The total is worked out after so many times as many links, for the course.
 constexpr double kNotes = 1.2;
-// And after so many times as many where it says when to end.
-constexpr double kLooks = 1.02;
-// Exchanges tried, as a share of the links; and in a row without success.
+// Times that a share of the links, those worth least, are chosen anew.
+constexpr int kSweeps = 2;
+constexpr double kSweepShare = 0.05;
+// Exchanges tried, as a share of the links, at most so many, and so many times poses; and in a row without success.
 constexpr double kExchangeShare = 0.2;
+constexpr int kMostTries = 256, kMostTriesTimesPoses = 2'560'000;
 constexpr int kMostFailures = 4;
 
 template <class Pose>
 class Greedy {
  public:
   Greedy(const LinkSystem<Pose>& system, const ChoiceOptions& options)
-      : options_(options),
+      : system_(system),
+        options_(options),
         links_(static_cast<int>(system.links.size())),
         worth_(system, options.criterion, system.in_tree, options.parallel) {
     out_.worth.assign(system.links.size(), 0.0);
@@ -43,10 +51,14 @@ class Greedy {
   }
 
   LinkChoice Run() {
-    Note();
     Choose();
-    if (!options_.most_total && worth_.KeptCount() < links_) Exchange();
-    if (out_.exchanges > 0 && out_.course.back().links == Chosen()) out_.course.pop_back();
+    if (options_.most_total) {
+      Trim();
+    } else if (worth_.KeptCount() < links_) {
+      if (Chosen() > kExact) Sweep();
+      Exchange();
+    }
+    if (out_.course.back().links >= Chosen()) out_.course.pop_back();
     Note();
     RecordWorth();
     out_.kept = worth_.Kept();
@@ -59,20 +71,15 @@ class Greedy {
     int link;
     bool operator<(const Entry& other) const { return worth != other.worth ? worth < other.worth : link > other.link; }
   };
+  using Queue = std::priority_queue<Entry>;
+
   int Chosen() const { return worth_.KeptCount() - at_start_; }
   void Note() {
-    if (!out_.course.empty() && out_.course.back().links == Chosen()) return;
     out_.course.push_back({Chosen(), worth_.Total()});
     next_note_ = kNotes * Chosen();
   }
-  bool IsEnough() {
-    if (worth_.KeptCount() >= most_) return true;
-    if (!options_.most_total) return false;
-    if (Chosen() >= next_look_) {
-      Note();
-      next_look_ = std::max(Chosen() + 1, static_cast<int>(kLooks * Chosen()));
-    }
-    return out_.course.back().total <= *options_.most_total;
+  bool IsEnough() const {
+    return worth_.KeptCount() >= most_ || (options_.most_total && out_.course.back().total <= *options_.most_total);
   }
   void Tell() {
     if (!options_.progress) return;
@@ -86,34 +93,60 @@ class Greedy {
     }
     return others;
   }
-  void Take(int link, const std::vector<int>& others = {}) {
+  std::vector<Entry> EntriesOf(const std::vector<int>& links) const {
+    std::vector<Entry> entries;
+    for (const int link : links) entries.push_back({worth_.Worth(link), link});
+    return entries;
+  }
+  // The one that is taken next, as its worth is now.
+  void Record(int link) {
     out_.worth[At(link)] = worth_.Worth(link);
-    worth_.Keep(link, others);
+    order_.push_back(link);
     Tell();
   }
 
   void Choose();
   void ChooseExactly(int step);
-  void ChooseLazily(int step);
+  void ChooseBySamples(int step);
   std::vector<int> Promising(int links);
-  std::priority_queue<Entry> Queue(const std::vector<int>& links) const;
-  int PopBest(std::priority_queue<Entry>& queue);
+  int PopBest(Queue& queue);
+  void Trim();
+  void Sweep();
   void Exchange();
-  bool ExchangeOne(int link, std::priority_queue<Entry>& queue);
+  std::vector<int> WorthLeast(int links);
+  bool ExchangeOne(int link, Queue& queue);
   void RecordWorth();
 
+  const LinkSystem<Pose>& system_;
   const ChoiceOptions& options_;
   const int links_;
   LinkWorth<Pose> worth_;
   LinkChoice out_;
-  int at_start_ = 0, most_ = 0, next_look_ = 1;
+  int at_start_ = 0, most_ = 0;
   double next_note_ = 0;
+  std::vector<int> order_;  // in which they were taken
 };
+
+template <class Pose>
+void Greedy<Pose>::Choose() {
+  for (;;) {
+    worth_.Refresh();
+    if (options_.most_total || Chosen() >= next_note_) Note();
+    if (IsEnough()) return;
+    worth_.Sample();
+    const int before = Chosen();
+    const bool is_exact = before < kExact;
+    const int step = std::max(kLeastStep, static_cast<int>((is_exact ? kExactGrowth : kGrowth) * before));
+    const int left = std::min(step, most_ - worth_.KeptCount());
+    is_exact ? ChooseExactly(left) : ChooseBySamples(left);
+    if (Chosen() == before) throw NumericalError("what the links are worth is not finite");
+  }
+}
 
 template <class Pose>
 void Greedy<Pose>::ChooseExactly(int step) {
   const std::vector<int> pool = Promising(kPool * step);
-  for (int k = 0; k < step && !IsEnough(); ++k) {
+  for (int k = 0; k < step; ++k) {
     int best = -1;
     double most = -1;
     for (const int link : pool) {
@@ -121,13 +154,50 @@ void Greedy<Pose>::ChooseExactly(int step) {
       if (worth > most) most = worth, best = link;
     }
     if (best < 0) return;
-    Take(best, pool);
+    Record(best);
+    worth_.Keep(best, pool);
   }
+}
+
+template <class Pose>
+void Greedy<Pose>::ChooseBySamples(int step) {
+  Queue queue(std::less<Entry>(), EntriesOf(Others()));
+  NearLinks near(system_, worth_.Kept());
+  const int reach = std::max(kLeastReach, static_cast<int>(kReach * system_.poses / Chosen()));
+  for (int k = 0; k < step && !queue.empty();) {
+    const Entry top = queue.top();
+    queue.pop();
+    const double now = worth_.Worth(top.link);
+    if (now < top.worth) {
+      queue.push({now, top.link});
+      continue;
+    }
+    Record(top.link);
+    worth_.KeepBySamples(top.link, near.Of(top.link, reach));
+    ++k;
+  }
+}
+
+// So many that promise most by the samples, evaluated.
+template <class Pose>
+std::vector<int> Greedy<Pose>::Promising(int links) {
+  std::vector<int> others = Others();
+  const std::size_t most = At(std::max(links, kLeastPool));
+  if (most < others.size()) {
+    std::vector<Entry> entries = EntriesOf(others);
+    std::nth_element(entries.begin(), entries.begin() + static_cast<long>(most), entries.end(),
+                     [](const Entry& a, const Entry& b) { return b < a; });
+    others.clear();
+    for (std::size_t k = 0; k < most; ++k) others.push_back(entries[k].link);
+    std::sort(others.begin(), others.end());
+  }
+  worth_.Evaluate(others);
+  return others;
 }
 
 // The one of most worth now, by asking anew for those that were worth most when last asked for; -1: there is none.
 template <class Pose>
-int Greedy<Pose>::PopBest(std::priority_queue<Entry>& queue) {
+int Greedy<Pose>::PopBest(Queue& queue) {
   std::vector<int> stale;
   while (!queue.empty()) {
     const Entry top = queue.top();
@@ -141,62 +211,72 @@ int Greedy<Pose>::PopBest(std::priority_queue<Entry>& queue) {
       queue.pop();
     }
     worth_.Evaluate(stale);
-    for (const int link : stale) queue.push({worth_.Worth(link), link});
+    for (const Entry& entry : EntriesOf(stale)) queue.push(entry);
   }
   return -1;
 }
 
+// As few of those that were taken as are enough; those of all rounds but the last are not.
 template <class Pose>
-void Greedy<Pose>::ChooseLazily(int step) {
-  std::priority_queue<Entry> queue = Queue(Promising(kPool * step));
-  for (int k = 0; k < step && !IsEnough(); ++k) {
-    const int best = PopBest(queue);
-    if (best < 0) return;
-    Take(best);
+void Greedy<Pose>::Trim() {
+  const auto keep_first = [&](int links) {
+    std::vector<char> kept = system_.in_tree;
+    for (int k = 0; k < links; ++k) kept[At(order_[At(k)])] = 1;
+    worth_.Restart(kept);
+  };
+  const std::size_t notes = out_.course.size();
+  int enough = Chosen();
+  for (int too_few = notes > 1 ? out_.course[notes - 2].links : enough; enough - too_few > 1;) {
+    const int middle = (too_few + enough) / 2;
+    keep_first(middle);
+    (worth_.Total() <= *options_.most_total ? enough : too_few) = middle;
+    Tell();
   }
-}
-
-template <class Pose>
-void Greedy<Pose>::Choose() {
-  while (!IsEnough()) {
-    const int step = std::min(most_ - worth_.KeptCount(), std::max(kLeastStep, static_cast<int>(kGrowth * Chosen())));
-    const int before = Chosen();
-    Chosen() < kExact ? ChooseExactly(step) : ChooseLazily(step);
-    if (Chosen() == before) throw NumericalError("what the links are worth is not finite");
-    if (Chosen() >= next_note_) Note();
-  }
-}
-
-// So many that promise most, evaluated.
-template <class Pose>
-std::vector<int> Greedy<Pose>::Promising(int links) {
-  worth_.Refresh();
+  if (enough != Chosen()) keep_first(enough);
   worth_.Sample();
-  std::vector<int> others = Others();
-  links = std::max(links, kLeastPool);
-  if (At(links) < others.size()) {
-    std::vector<Entry> entries;
-    for (const int link : others) entries.push_back({worth_.Worth(link), link});
-    std::nth_element(entries.begin(), entries.begin() + links, entries.end(),
-                     [](const Entry& a, const Entry& b) { return b < a; });
-    others.clear();
-    for (int k = 0; k < links; ++k) others.push_back(entries[At(k)].link);
-    std::sort(others.begin(), others.end());
-  }
-  worth_.Evaluate(others);
-  return others;
 }
 
+// The links that are worth least are chosen anew, all at once; for where there are too many for Exchange.
 template <class Pose>
-auto Greedy<Pose>::Queue(const std::vector<int>& links) const -> std::priority_queue<Entry> {
-  std::priority_queue<Entry> queue;
-  for (const int link : links) queue.push({worth_.Worth(link), link});
-  return queue;
+void Greedy<Pose>::Sweep() {
+  const int dropped = static_cast<int>(kSweepShare * Chosen());
+  double total = worth_.Total();
+  for (int sweep = 0; sweep < kSweeps; ++sweep) {
+    worth_.Sample();
+    const std::vector<char> before = worth_.Kept();
+    std::vector<char> fewer = before;
+    for (const int link : WorthLeast(dropped)) fewer[At(link)] = 0;
+    worth_.Restart(fewer);
+    worth_.Sample();
+    ChooseBySamples(dropped);
+    worth_.Refresh();
+    const double now = worth_.Total();
+    const bool is_better = options_.criterion == SparsifyCriterion::kPosition ? now < total : now > total;
+    if (!is_better) return worth_.Restart(before);
+    total = now;
+    for (std::size_t k = 0; k < before.size(); ++k) out_.exchanges += before[k] && !worth_.Kept()[k];
+  }
+}
+
+// Of the links kept, but for those that hold poses.
+template <class Pose>
+std::vector<int> Greedy<Pose>::WorthLeast(int links) {
+  std::vector<int> kept;
+  for (int link = 0; link < links_; ++link) {
+    if (worth_.Kept()[At(link)] && !system_.in_tree[At(link)]) kept.push_back(link);
+  }
+  std::vector<Entry> entries = EntriesOf(kept);
+  const std::size_t count = std::min(At(links), entries.size());
+  std::partial_sort(entries.begin(), entries.begin() + static_cast<long>(count), entries.end());
+  kept.clear();
+  for (std::size_t k = 0; k < count; ++k) kept.push_back(entries[k].link);
+  return kept;
 }
 
 // Whether another link instead of this one is better.
 template <class Pose>
-bool Greedy<Pose>::ExchangeOne(int link, std::priority_queue<Entry>& queue) {
+bool Greedy<Pose>::ExchangeOne(int link, Queue& queue) {
+  worth_.Evaluate({link});
   const double loss = worth_.Worth(link);
   if (!std::isfinite(loss) || !worth_.Drop(link)) return false;
   const int best = PopBest(queue);
@@ -210,26 +290,25 @@ bool Greedy<Pose>::ExchangeOne(int link, std::priority_queue<Entry>& queue) {
   } else if (best >= 0) {
     queue.push({gain, best});
   }
+  Tell();
   return is_better;
 }
 
 // Those that have come to be worth least go for what is worth more now.
 template <class Pose>
 void Greedy<Pose>::Exchange() {
-  const int tries = static_cast<int>(std::ceil(kExchangeShare * Chosen()));
-  std::priority_queue<Entry> others = Queue(Promising(tries));
-  std::vector<int> kept;
-  for (int link = 0; link < links_; ++link) {
-    if (worth_.Kept()[At(link)]) kept.push_back(link);
-  }
-  worth_.Evaluate(kept);
-  std::sort(kept.begin(), kept.end(),
-            [&](int a, int b) { return std::pair(worth_.Worth(a), a) < std::pair(worth_.Worth(b), b); });
+  worth_.Refresh();
+  worth_.Sample();
+  const int most = std::min(kMostTries, kMostTriesTimesPoses / system_.poses);
+  const int tries = std::min(most, static_cast<int>(std::ceil(kExchangeShare * Chosen())));
+  Queue others(std::less<Entry>(), EntriesOf(Promising(tries)));
+  // The samples say which ones to look at.
+  worth_.Evaluate(WorthLeast(2 * tries));
   int failures = 0;
-  for (int k = 0; k < std::min(tries, static_cast<int>(kept.size())) && failures < kMostFailures; ++k) {
-    worth_.Evaluate({kept[At(k)]});
-    const bool is_better = ExchangeOne(kept[At(k)], others);
+  for (const int link : WorthLeast(tries)) {
+    const bool is_better = ExchangeOne(link, others);
     failures = is_better ? 0 : failures + 1;
+    if (failures == kMostFailures) return;
     out_.exchanges += is_better;
   }
 }
@@ -291,8 +370,9 @@ std::vector<char> Connect(const LinkSystem<Pose>& system, int links, std::uint64
 }  // namespace
 
 template <class Pose>
-double TotalOfAll(const LinkSystem<Pose>& system, SparsifyCriterion criterion) {
-  return LinkWorth<Pose>(system, criterion, std::vector<char>(system.links.size(), 1), false).Total();
+ChoiceTotals TotalsOf(const LinkSystem<Pose>& system, const std::vector<char>& kept) {
+  const LinkWorth<Pose> worth(system, SparsifyCriterion::kPosition, kept, false);
+  return {worth.PositionTotal(), worth.LogDeterminant()};
 }
 
 template <class Pose>
@@ -304,15 +384,11 @@ LinkChoice ChooseLinks(const LinkSystem<Pose>& system, const ChoiceOptions& opti
   out.worth.assign(system.links.size(), 0.0);
   out.kept = options.criterion == SparsifyCriterion::kRandom ? Draw(system, options.links, options.seed)
                                                              : Connect(system, options.links, options.seed);
-  for (const auto& kept : {system.in_tree, out.kept}) {
-    LinkWorth<Pose> worth(system, SparsifyCriterion::kPosition, kept, options.parallel);
-    out.course.push_back({kept == out.kept ? options.links : 0, worth.Total()});
-  }
   return out;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                           \
-  template double TotalOfAll(const LinkSystem<Pose>&, SparsifyCriterion); \
+#define TERSE_INSTANTIATE(Pose)                                                      \
+  template ChoiceTotals TotalsOf(const LinkSystem<Pose>&, const std::vector<char>&); \
   template LinkChoice ChooseLinks(const LinkSystem<Pose>&, const ChoiceOptions&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

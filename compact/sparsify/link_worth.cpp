@@ -117,6 +117,34 @@ void LinkWorth<Pose>::Keep(int link, const std::vector<int>& others) {
   for (const int other : others) states_[At(other)].change = changes_;
 }
 
+// With I + C = L L' and K = L^-T (I + L)^-1 the samples X (I - x' K x), x = A_c X, are those of what is left of Sigma
+// (Andrews, 1968).
+template <class Pose>
+void LinkWorth<Pose>::KeepBySamples(int link, const std::vector<int>& near) {
+  const Samples x = SampledOf(link);
+  const Block C = states_[At(link)].C;
+  const Eigen::LLT<Block> S(Block::Identity() + C);
+  const Block I_and_L = Block(S.matrixL()) + Block::Identity();
+  const Samples Kx = S.matrixU().solve(I_and_L.template triangularView<Eigen::Lower>().solve(x));
+  const bool is_position = criterion_ == SparsifyCriterion::kPosition;
+  Moved moved = Moved::Zero();
+  if (is_position) moved = S.solve(MovedOf(link));
+  for (const int other : near) {
+    State& state = states_[At(other)];
+    auto y = SampledOf(other);
+    Block p = y * x.transpose();
+    const double signal = 1 - C.trace() * state.C.trace() / kColumns / p.squaredNorm();
+    if (!(signal > 0)) continue;
+    p *= signal;
+    y -= p * Kx;
+    const Block q = S.matrixL().solve(p.transpose());
+    state.C -= q.transpose() * q;
+    if (is_position) MovedOf(other) -= p * moved;
+  }
+  kept_[At(link)] = 1;
+  ++kept_count_;
+}
+
 template <class Pose>
 bool LinkWorth<Pose>::Drop(int link) {
   typename BlockCholesky<B>::Changes changes;
@@ -163,6 +191,13 @@ void LinkWorth<Pose>::Refresh() {
   changes_ = 0;
 }
 
+template <class Pose>
+void LinkWorth<Pose>::Restart(const std::vector<char>& kept) {
+  kept_ = kept;
+  kept_count_ = static_cast<int>(std::count(kept.begin(), kept.end(), 1));
+  Refresh();
+}
+
 // Samples are kColumns wide, side by side with as many more.
 template <class Pose>
 auto LinkWorth<Pose>::RowsOf(std::vector<double>& X, int pose, int column) -> SampleMap {
@@ -182,20 +217,30 @@ void LinkWorth<Pose>::TakeMotionsOut(std::vector<double>& X, int column) const {
   }
 }
 
+// Random signs, as many as there are entries: bits of numbers in [0, 1).
+template <class Signs>
+void DrawSigns(Random& random, Signs&& signs) {
+  for (Eigen::Index row = 0; row < signs.rows(); ++row) {
+    auto bits = static_cast<std::uint64_t>(random.Uniform() * 0x1p52);
+    for (Eigen::Index column = 0; column < signs.cols(); ++column, bits >>= 1)
+      signs(row, column) = bits & 1 ? 1.0 : -1.0;
+  }
+}
+
 // Of N(0, Sigma), by a random residual of every factor, and Sigma K^1/2 z with random signs z.
 template <class Pose>
 std::vector<double> LinkWorth<Pose>::DrawSamples(Random& random) const {
   constexpr int stride = Stride(2 * kColumns);
   std::vector<double> X(At(system_.poses) * B * At(stride), 0.0);
-  const auto draw = [&] { return Samples::NullaryExpr([&] { return random.Uniform() < 0.5 ? -1.0 : 1.0; }).eval(); };
+  Samples residual;
   for (int slot = 0; slot < cholesky_.Slots(); ++slot) {
     const LinearFactor<B>& f = cholesky_.LinearFactorAt(slot);
     if (f.first < 0) continue;
-    const Samples residual = draw();
+    DrawSigns(random, residual);
     RowsOf(X, f.first, 0) += f.A_first.transpose() * residual;
     if (f.second >= 0) RowsOf(X, f.second, 0) += f.A_second.transpose() * residual;
   }
-  for (int v = 0; v < system_.poses; ++v) RowsOf(X, v, kColumns) = draw();
+  for (int v = 0; v < system_.poses; ++v) DrawSigns(random, RowsOf(X, v, kColumns));
   TakeMotionsOut(X, kColumns);
   SolveDense<B>(cholesky_.Tree(), X, stride);
   return X;
@@ -209,7 +254,7 @@ void LinkWorth<Pose>::FindDirections(Random& random, std::vector<double>& X) con
   for (int v = 0; v < system_.poses; ++v) W.middleRows<D>(v * D) = RowsOf(X, v, kColumns).template topRows<D>();
   const Eigen::MatrixXd Q =
       Eigen::HouseholderQR<Eigen::MatrixXd>(W).householderQ() * Eigen::MatrixXd::Identity(W.rows(), kColumns);
-  Z = Eigen::MatrixXd::NullaryExpr(W.rows(), kColumns, [&] { return random.Uniform() < 0.5 ? -1.0 : 1.0; });
+  DrawSigns(random, Z);
   Z -= Q * (Q.transpose() * Z);
   Z /= std::sqrt(static_cast<double>(kColumns));
   for (int v = 0; v < system_.poses; ++v) {
@@ -235,9 +280,11 @@ void LinkWorth<Pose>::Sample() {
       }
     });
   };
+  sampled_.resize(states_.size() * Samples::SizeAtCompileTime);
   for_each_link([&](std::size_t k, const auto& times) {
-    const Samples x = times(0);
-    states_[k].C = x * x.transpose() / kColumns;
+    auto x = SampledOf(static_cast<int>(k));
+    x = times(0) / std::sqrt(static_cast<double>(kColumns));
+    states_[k].C = x * x.transpose();
   });
   if (criterion_ != SparsifyCriterion::kPosition) return;
   FindDirections(random, X);
@@ -249,8 +296,7 @@ void LinkWorth<Pose>::Sample() {
 }
 
 template <class Pose>
-double LinkWorth<Pose>::Total() const {
-  if (criterion_ != SparsifyCriterion::kPosition) return cholesky_.LogDeterminant();
+double LinkWorth<Pose>::PositionTotal() const {
   double total = 0;
   for (const Block& Sigma : SelectedInverse<B>(cholesky_).AllDiagonals())
     total += Sigma.template topLeftCorner<D, D>().trace();

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <utility>
 
 #include "dropped_poses.h"
 #include "terse/compact/link_choice.h"
@@ -84,9 +85,7 @@ class Sparsification {
   Sparsified<Pose> Run() {
     Stopwatch watch;
     Tell("optimum", 0);
-    const auto whole = ToOptimum<Pose>(graph_, nullptr, options_.threads);
-    out_.T_world_body_whole = whole.T_world_body;
-    out_.chi2_whole = whole.chi2;
+    FindOptimum();
     out_.seconds.optimum = watch.Lap();
     PoseGraph<Pose> linked = KeepLinks();
     out_.seconds.links = watch.Lap();
@@ -104,6 +103,12 @@ class Sparsification {
   void Tell(const char* task, double share) const {
     if (options_.progress && !options_.progress(task, share)) throw StoppedError();
   }
+  // Its factor is as large as any and not kept.
+  void FindOptimum() {
+    auto whole = ToOptimum<Pose>(graph_, nullptr, options_.threads);
+    out_.T_world_body_whole = std::move(whole.T_world_body);
+    out_.chi2_whole = whole.chi2;
+  }
   internal::LinkChoice Choose(const internal::LinkSystem<Pose>& system);
   PoseGraph<Pose> KeepLinks();
   void DropPoses(const PoseGraph<Pose>& linked);
@@ -118,12 +123,12 @@ template <class Pose>
 internal::LinkChoice Sparsification<Pose>::Choose(const internal::LinkSystem<Pose>& system) {
   out_.links_at_least = static_cast<int>(std::count(system.in_tree.begin(), system.in_tree.end(), 1));
   const int links = static_cast<int>(system.links.size()) - out_.links_at_least;
-  const double whole = internal::TotalOfAll(system, SparsifyCriterion::kPosition);
+  const auto whole = internal::TotalsOf(system, std::vector<char>(system.links.size(), 1));
   const auto error = [&](double total) { return std::sqrt(total / system.poses); };
-  out_.expected_error_whole = error(whole);
+  out_.expected_error_whole = error(whole.position);
   internal::ChoiceOptions choice;
   choice.links = options_.links ? options_.links->Of(links) : links;
-  if (options_.budget_error) choice.most_total = whole * *options_.budget_error * *options_.budget_error;
+  if (options_.budget_error) choice.most_total = whole.position * *options_.budget_error * *options_.budget_error;
   choice.criterion = options_.criterion;
   choice.seed = options_.seed;
   choice.parallel = options_.threads > 1;
@@ -137,14 +142,12 @@ internal::LinkChoice Sparsification<Pose>::Choose(const internal::LinkSystem<Pos
   } else {
     chosen = internal::ChooseLinks(system, choice);
   }
-  const internal::LinkWorth<Pose> kept(system, SparsifyCriterion::kInformation, chosen.kept, false);
-  out_.log_det_lost = internal::TotalOfAll(system, SparsifyCriterion::kInformation) - kept.Total();
-  const auto position = [&](const std::vector<char>& links_kept) {
-    return internal::LinkWorth<Pose>(system, SparsifyCriterion::kPosition, links_kept, false).Total();
-  };
-  out_.expected_error = error(position(chosen.kept));
-  if (options_.criterion == SparsifyCriterion::kInformation)
-    chosen.course = {{0, position(system.in_tree)}, {choice.links, position(chosen.kept)}};
+  const bool has_all = std::count(chosen.kept.begin(), chosen.kept.end(), 0) == 0;
+  const auto kept = has_all ? whole : internal::TotalsOf(system, chosen.kept);
+  out_.log_det_lost = whole.log_determinant - kept.log_determinant;
+  out_.expected_error = error(kept.position);
+  if (options_.criterion != SparsifyCriterion::kPosition)
+    chosen.course = {{0, internal::TotalsOf(system, system.in_tree).position}, {choice.links, kept.position}};
   for (const auto& step : chosen.course) out_.course.push_back({step.links, error(step.total)});
   return chosen;
 }

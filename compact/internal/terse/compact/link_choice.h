@@ -1,6 +1,6 @@
 #pragma once
 // Which links to keep: greedily by what they are worth in the presence of those chosen before, the first ones exactly,
-// later ones lazily (Minoux, 1978), then by exchanges.
+// later ones by samples in rounds (link_worth.h), then by exchanges.
 
 #include "terse/compact/link_system.h"
 #include "terse/compact/link_worth.h"
@@ -14,10 +14,11 @@ struct ChoiceStep {
 };
 
 struct LinkChoice {
-  std::vector<char> kept;          // by link
-  std::vector<double> worth;       // by link: at its choice; of one that is not kept as last looked at
-  std::vector<ChoiceStep> course;  // ascending; first nothing but what is fixed, last the choice
-  int exchanges = 0;               // that changed it for the better
+  std::vector<char> kept;     // by link
+  std::vector<double> worth;  // by link: at its choice; of one that is not kept as last looked at
+  // Ascending; first nothing but what is fixed, last the choice. Empty without a criterion that is a sum over links.
+  std::vector<ChoiceStep> course;
+  int exchanges = 0;  // that changed it for the better
 };
 
 struct ChoiceOptions {
@@ -35,8 +36,12 @@ struct ChoiceStopped {};
 template <class Pose>
 LinkChoice ChooseLinks(const LinkSystem<Pose>& system, const ChoiceOptions& options);
 
-// The total with all links.
+// What the information of these links says, exactly.
+struct ChoiceTotals {
+  double position;  // the expected sum of squared errors, square metres
+  double log_determinant;
+};
 template <class Pose>
-double TotalOfAll(const LinkSystem<Pose>& system, SparsifyCriterion criterion);
+ChoiceTotals TotalsOf(const LinkSystem<Pose>& system, const std::vector<char>& kept);
 
 }  // namespace terse::internal

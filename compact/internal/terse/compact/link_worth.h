@@ -14,9 +14,12 @@
 // left (Hutch++: Meyer, Musco, Musco, Woodruff, 2021). One Y serves all links.
 //
 // Keeping a link c takes Sigma A' S^-1 A Sigma, S = I + C_c, from Sigma. Then
-//   - Keep with Propagate::kTo brings C and A Y of other links up to date: with p = A Sigma A_c',
-//     C <- C - p S^-1 p' and A Y <- A Y - p S^-1 A_c Y. O(poses + links) for p. Meant for the first links, which change
-//     the worth of all others.
+//   - Keep brings C and A Y of other links up to date: with p = A Sigma A_c', C <- C - p S^-1 p' and
+//     A Y <- A Y - p S^-1 A_c Y. O(poses + links) for p. Meant for the first links, which change the worth of all
+//     others.
+//   - KeepBySamples does so with what the samples X of N(0, Sigma) say p is, for links near by, and leaves the factor
+//     alone: many links in a moment. Of 32 samples (A X)(A_c X)' is mostly noise where links have nothing to do with
+//     each other, so it is shrunk by the share that noise has in it (as James and Stein would).
 //   - else C is asked for anew when it is needed, and A Y is taken to shrink as that of a measurement of the same
 //     displacement would: A Y <- C C_before^-1 A Y. Exact for links that say the same.
 // A new Refresh forgets all that.
@@ -52,14 +55,20 @@ class LinkWorth {
 
   // Brings `others` up to date, if they were before.
   void Keep(int link, const std::vector<int>& others = {});
+  // Between Sample and Refresh: brings `near` up to date by the samples alone, and leaves the factor as it is.
+  void KeepBySamples(int link, const std::vector<int>& near);
   // False, and nothing changes, if poses would be held by nothing.
   [[nodiscard]] bool Drop(int link);
-  // Orders and factors anew. All links are out of date.
+  // Orders and factors anew, with `kept` instead. All links are out of date.
   void Refresh();
+  void Restart(const std::vector<char>& kept);
   // After a Refresh: what all links are worth, to about a fifth.
   void Sample();
-  // The expected sum of squared position errors V, or the log-determinant of the information, exactly.
-  double Total() const;
+  // Exactly: the expected sum of squared position errors V, the log-determinant of the information, and which of them
+  // the criterion is about.
+  double PositionTotal() const;
+  double LogDeterminant() const { return cholesky_.LogDeterminant(); }
+  double Total() const { return criterion_ == SparsifyCriterion::kPosition ? PositionTotal() : LogDeterminant(); }
 
  private:
   static constexpr int kColumns = 32;  // samples, and directions of either kind
@@ -80,6 +89,9 @@ class LinkWorth {
   Eigen::Map<const Moved> MovedOf(int link) const {
     return Eigen::Map<const Moved>(moved_.data() + static_cast<long>(link) * Moved::SizeAtCompileTime);
   }
+  Eigen::Map<Samples> SampledOf(int link) {
+    return Eigen::Map<Samples>(sampled_.data() + static_cast<long>(link) * Samples::SizeAtCompileTime);
+  }
   static SampleMap RowsOf(std::vector<double>& X, int pose, int column);
   std::vector<double> DrawSamples(Random& random) const;
   void FindDirections(Random& random, std::vector<double>& X) const;
@@ -92,7 +104,7 @@ class LinkWorth {
   int kept_count_ = 0;
   std::vector<int> slots_;  // by link; -1: none
   std::vector<State> states_;
-  std::vector<double> moved_;  // A Y by link, for positions
+  std::vector<double> sampled_, moved_;  // A X and, for positions, A Y by link
   BlockCholesky<B> cholesky_;
   int round_ = 0, changes_ = 0;
 };
