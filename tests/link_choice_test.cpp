@@ -231,6 +231,64 @@ TYPED_TEST(LinkChoiceTest, RoundsBySamplesAreAsGoodAsExactOnes) {
   }
 }
 
+// Of 32 samples most of what two links seem to have in common is noise.
+TYPED_TEST(LinkChoiceTest, KeepingBySamplesDoesNotInventWhatLinksHaveInCommon) {
+  const auto scene = MakeScene<TypeParam>(34, 150, 1.5);
+  const auto all = All(scene.system.links.size());
+  const auto kept = EveryOther(all.size());
+  std::vector<int> first, others;
+  for (const int link : all) {
+    if (!kept[static_cast<std::size_t>(link)]) (link % 8 == 0 ? first : others).push_back(link);
+  }
+  for (const auto criterion : kGreedy) {
+    LinkWorth<TypeParam> worth(scene.system, criterion, kept, false);
+    worth.Sample();
+    for (const int link : first) worth.KeepBySamples(link, others);
+    double by_samples = 0, exact = 0;
+    for (const int link : others) by_samples += worth.Worth(link);
+    worth.Refresh();
+    worth.Sample();
+    worth.Evaluate(others);
+    for (const int link : others) exact += worth.Worth(link);
+    if (criterion == SparsifyCriterion::kPosition) {
+      EXPECT_GT(by_samples / exact, 0.8);
+      EXPECT_LT(by_samples / exact, 2.2);
+    } else {
+      EXPECT_NEAR(by_samples / exact, 1, 0.2);
+    }
+  }
+}
+
+TYPED_TEST(LinkChoiceTest, KeepingBySamplesTakesItsWorthFromALinkThatSaysTheSame) {
+  auto scene = MakeScene<TypeParam>(35, 60, 1.0);
+  auto& system = scene.system;
+  const int links = static_cast<int>(system.links.size());
+  for (const int link : All(system.links.size())) {
+    system.links.push_back(system.links[static_cast<std::size_t>(link)]);
+    system.in_tree.push_back(0);
+  }
+  std::vector<char> kept = EveryOther(system.links.size());
+  std::fill(kept.begin() + links, kept.end(), static_cast<char>(0));
+  for (const auto criterion : kGreedy) {
+    double exact = 0, by_samples = 0, before = 0;
+    for (int link = 0; link < links; link += 2) {
+      const int twin = link + links;
+      LinkWorth<TypeParam> sampled(system, criterion, kept, false), evaluated(system, criterion, kept, false);
+      sampled.Sample();
+      before += sampled.Worth(twin);
+      sampled.KeepBySamples(link, {twin});
+      by_samples += sampled.Worth(twin);
+      evaluated.Sample();
+      evaluated.Evaluate({link, twin});
+      evaluated.Keep(link, {twin});
+      exact += evaluated.Worth(twin);
+    }
+    EXPECT_LT(by_samples, 0.6 * before) << exact;
+    EXPECT_GT(by_samples, 0.5 * exact);
+    EXPECT_LT(by_samples, 2 * exact);
+  }
+}
+
 TYPED_TEST(LinkChoiceTest, NearLinksAreThoseOfTheNearestPoses) {
   const auto scene = MakeScene<TypeParam>(33, 60, 1.0);
   const auto& system = scene.system;
