@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <set>
 
+#include "terse/compact/marginal_divergence.h"
 #include "terse/compact/pose_removal.h"
 #include "terse/core/batch_solver.h"
 #include "testing.h"
@@ -241,6 +242,23 @@ TYPED_TEST(PoseEliminationTest, KeepsTheOptimumAndStatesTheLoss) {
         }
       }
     }
+  }
+}
+
+TYPED_TEST(PoseEliminationTest, DivergenceIsThatOfTheMarginal) {
+  using Pose = TypeParam;
+  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    const PoseGraph<Pose> graph = Scene<Pose>(seed, 1.2, 20);
+    for (const RecoveredFactors recovered : kEvery) {
+      EliminationOptions options;
+      options.recovered = recovered;
+      options.least_kept = 8;
+      const PoseGraph<Pose> fewer = EliminatePoses(graph, options).graph;
+      ASSERT_LT(fewer.Poses().size(), 18u);
+      const double expected = Divergence(Marginal(graph, IdsOf(fewer)).H, HeldSystem(fewer).H);
+      EXPECT_NEAR(internal::DivergenceFromMarginal(graph, ValuesOf(graph), fewer), expected, 1e-6 * (1 + expected));
+    }
+    EXPECT_NEAR(internal::DivergenceFromMarginal(graph, ValuesOf(graph), graph), 0, 1e-7);
   }
 }
 

@@ -7,6 +7,7 @@
 
 #include "dropped_poses.h"
 #include "terse/compact/link_choice.h"
+#include "terse/compact/marginal_divergence.h"
 #include "terse/core/at.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/error.h"
@@ -204,7 +205,9 @@ void Sparsification<Pose>::DropPoses(const PoseGraph<Pose>& linked) {
   out_.loss = eliminated.loss;
   out_.map = internal::MapOf(linked, eliminated, holding_, out_.T_world_body_whole);
   out_.graph = std::move(eliminated.graph);
-  if (!out_.dropped.empty()) out_.chi2 = Chi2(out_.graph);
+  if (out_.dropped.empty()) return;
+  out_.chi2 = Chi2(out_.graph);
+  out_.divergence = internal::DivergenceFromMarginal(linked, out_.T_world_body, out_.graph);
 }
 
 }  // namespace

@@ -34,6 +34,7 @@ void AddCovarianceCommand(CLI::App& app);
 void AddTableCommand(CLI::App& app);
 void AddCompactTable(CLI::App& table);  // subcommands of table
 void AddOutliersTable(CLI::App& table);
+void AddSparsifyTable(CLI::App& table);
 void AddSweepCommand(CLI::App& app);
 void AddKittiCommand(CLI::App& app);
 void AddReportCommand(CLI::App& app);

@@ -95,7 +95,7 @@ void PrintSummary(const nlohmann::ordered_json& stats, const std::string& direct
                 stats["poses_kept"].get<long>(), stats["poses"].get<long>(), stats["links_kept"].get<long>(),
                 stats["links"].get<long>(), stats["criterion"].get<std::string>().c_str(),
                 stats["expected_error_m"].get<double>(), stats["expected_error_whole_m"].get<double>(),
-                stats["log_det_lost_nats"].get<double>(), stats["poses_loss_nats"].get<double>(),
+                stats["log_det_lost_nats"].get<double>(), stats["divergence_nats"].get<double>(),
                 stats["seconds_total"].get<double>(), directory.c_str());
   std::cout << line;
   FlushOutput();

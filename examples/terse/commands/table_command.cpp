@@ -244,6 +244,7 @@ void AddTableCommand(CLI::App& app) {
   command->callback([options] { RunIggSpo(*options); });
   AddCompactTable(*table);
   AddOutliersTable(*table);
+  AddSparsifyTable(*table);
 }
 
 }  // namespace terse

@@ -1,11 +1,11 @@
 // `terse table outliers`: methods against wrong loops, as the literature has it.
 
 #include <algorithm>
-#include <filesystem>
 #include <iostream>
 #include <thread>
 
 #include "commands/commands.h"
+#include "commands/graph_choice.h"
 #include "commands/output_paths.h"
 #include "run/standard_output.h"
 #include "tables/document.h"
@@ -26,28 +26,6 @@ struct Options {
   bool json = false;
 };
 
-std::vector<GraphPath> Chosen(const Options& options) {
-  std::vector<GraphPath> found = FindGraphFiles(options.folder);
-  if (options.graphs.empty()) return found;
-  const auto is = [](const GraphPath& graph, const std::string& name) {
-    return graph.name == name || std::filesystem::path(graph.path).stem() == name;
-  };
-  std::vector<std::string> names;
-  for (const GraphPath& graph : found) names.push_back(graph.name);
-  for (const std::string& name : options.graphs) {
-    if (std::any_of(found.begin(), found.end(), [&](const GraphPath& graph) { return is(graph, name); })) continue;
-    const std::string nearest = NearestName(name, names);
-    throw CLI::ValidationError("--graphs", "no graph " + name + " in " + options.folder +
-                                               (nearest.empty() ? "" : "; did you mean " + nearest + "?"));
-  }
-  std::vector<GraphPath> out;
-  for (const GraphPath& graph : found) {
-    if (std::any_of(options.graphs.begin(), options.graphs.end(), [&](const auto& name) { return is(graph, name); }))
-      out.push_back(graph);
-  }
-  return out;
-}
-
 // Each once, in the order of the words or of size.
 void Normalise(Options& options) {
   OutlierTableOptions& table = options.table;
@@ -66,7 +44,7 @@ void Normalise(Options& options) {
 
 void RunTable(Options options) {
   Normalise(options);
-  const std::vector<GraphPath> inputs = Chosen(options);
+  const std::vector<GraphPath> inputs = ChooseGraphFiles(options.folder, options.graphs);
   std::vector<NamedPath> named;
   for (const GraphPath& input : inputs) named.push_back({"DIR", input.path});
   CheckOutputPaths({{"--update", options.update}, {"--runs", options.runs}}, named);

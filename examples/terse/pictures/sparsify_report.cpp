@@ -135,7 +135,7 @@ std::string Rows(const Json& stats) {
   row("factors in all", stats["factors"].dump(), stats["factors_kept"].dump());
   row("expected position error, m", Number(stats["expected_error_whole_m"]), Number(stats["expected_error_m"]));
   row("log-determinant lost by links, nats", "", Number(stats["log_det_lost_nats"]));
-  row("divergence by dropped poses, nats", "", Number(stats["poses_loss_nats"]));
+  row("divergence by dropped poses, nats", "", Number(stats["divergence_nats"]));
   row("chi2 at the optimum", Number(stats["chi2_whole"]), Number(stats["chi2"]));
   return out.str();
 }

@@ -33,6 +33,7 @@ nlohmann::ordered_json SparsifyStats(const PoseGraph<Pose>& graph, const Sparsif
   out["expected_error_m"] = small.expected_error;
   out["log_det_lost_nats"] = small.log_det_lost;
   out["poses_loss_nats"] = small.loss;
+  out["divergence_nats"] = small.divergence;
   out["exchanges"] = small.exchanges;
   out["chi2_whole"] = small.chi2_whole;
   out["chi2"] = small.chi2;

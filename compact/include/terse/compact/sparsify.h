@@ -62,8 +62,10 @@ struct Sparsified {
   int exchanges = 0;                     // of links at the end that changed the choice for the better
   double expected_error_whole = 0, expected_error = 0;  // metres, as in SparsifyPoint, of all links and of those kept
   double log_det_lost = 0;                              // of the information, nats, by the links left out
-  double loss = 0;                                      // nats, by the poses dropped
-  double chi2_whole = 0, chi2 = 0;                      // at the optimum of the whole graph, and of `graph`
+  double loss = 0;                                      // nats, by the poses dropped: the sum over them
+  // nats: of the exact marginal of the kept poses, with the kept links, from what `graph` says of them.
+  double divergence = 0;
+  double chi2_whole = 0, chi2 = 0;  // at the optimum of the whole graph, and of `graph`
   struct Seconds {
     double optimum = 0, links = 0, poses = 0;
   } seconds;
