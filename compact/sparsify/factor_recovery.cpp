@@ -21,7 +21,7 @@ using Eigen::VectorXd;
 constexpr double kFloor = 1e-9;
 // The first ones only show which factors the tree needs most besides.
 constexpr int kMostSweeps = 30, kFirstSweeps = 2;
-constexpr double kLeastFall = 1e-3, kLeastFallNats = 1e-7;  // for one more sweep
+constexpr double kLeastFall = 3e-2, kLeastFallNats = 1e-7;  // for one more sweep
 
 template <class Matrix>
 double LogDeterminant(const Matrix& S) {
