@@ -32,10 +32,15 @@ constexpr double kNotes = 1.2;
 // Times that a share of the links, those worth least, are chosen anew.
 constexpr int kSweeps = 2;
 constexpr double kSweepShare = 0.05;
-// Exchanges tried, as a share of the links, at most so many, and so many times poses; and in a row without success.
+// Exchanges tried: a share of the links, so many at least and at most, and at most so many times poses; and in a row
+// without success.
 constexpr double kExchangeShare = 0.2;
-constexpr int kMostTries = 256, kMostTriesTimesPoses = 2'560'000;
-constexpr int kMostFailures = 4;
+constexpr int kLeastTries = 64, kMostTries = 256, kMostTriesTimesPoses = 2'560'000;
+constexpr int kMostFailures = 16;
+// Where tries times poses are no more, each is judged by the total, and one is made for so much of a link's worth.
+constexpr int kMostTotals = 200'000;
+constexpr double kLeastPromise = 0.7;
+constexpr double kLeastStepOfTotal = 1e-9;
 
 template <class Pose>
 class Greedy {
@@ -114,7 +119,11 @@ class Greedy {
   void Sweep();
   void Exchange();
   std::vector<int> WorthLeast(int links);
-  bool ExchangeOne(int link, Queue& queue);
+  bool IsBetter(double total, double before) const {
+    const double step = options_.criterion == SparsifyCriterion::kPosition ? before - total : total - before;
+    return step > kLeastStepOfTotal * std::abs(before);
+  }
+  bool ExchangeOne(int link, Queue& queue, std::optional<double>& total);
   void RecordWorth();
 
   const LinkSystem<Pose>& system_;
@@ -251,8 +260,7 @@ void Greedy<Pose>::Sweep() {
     ChooseBySamples(dropped);
     worth_.Refresh();
     const double now = worth_.Total();
-    const bool is_better = options_.criterion == SparsifyCriterion::kPosition ? now < total : now > total;
-    if (!is_better) return worth_.Restart(before);
+    if (!IsBetter(now, total)) return worth_.Restart(before);
     total = now;
     for (std::size_t k = 0; k < before.size(); ++k) out_.exchanges += before[k] && !worth_.Kept()[k];
   }
@@ -273,16 +281,27 @@ std::vector<int> Greedy<Pose>::WorthLeast(int links) {
   return kept;
 }
 
-// Whether another link instead of this one is better.
+// Whether another link instead of this one is better. `total`: as it is, and becomes; absent: what links are worth has
+// to do.
 template <class Pose>
-bool Greedy<Pose>::ExchangeOne(int link, Queue& queue) {
+bool Greedy<Pose>::ExchangeOne(int link, Queue& queue, std::optional<double>& total) {
   worth_.Evaluate({link});
   const double loss = worth_.Worth(link);
+  Tell();
   if (!std::isfinite(loss) || !worth_.Drop(link)) return false;
   const int best = PopBest(queue);
   const double gain = best < 0 ? 0 : worth_.Worth(best);
-  const bool is_better = gain > loss * (1 + 1e-3);
+  bool is_better = best >= 0 && gain > loss * (total ? kLeastPromise : 1 + 1e-3);
   worth_.Keep(is_better ? best : link);
+  if (is_better && total) {
+    const double now = worth_.Total();
+    is_better = IsBetter(now, *total);
+    if (is_better) {
+      total = now;
+    } else if (worth_.Drop(best)) {
+      worth_.Keep(link);
+    }
+  }
   if (is_better) {
     out_.worth[At(best)] = gain;
     out_.worth[At(link)] = loss;
@@ -290,7 +309,6 @@ bool Greedy<Pose>::ExchangeOne(int link, Queue& queue) {
   } else if (best >= 0) {
     queue.push({gain, best});
   }
-  Tell();
   return is_better;
 }
 
@@ -300,16 +318,21 @@ void Greedy<Pose>::Exchange() {
   worth_.Refresh();
   worth_.Sample();
   const int most = std::min(kMostTries, kMostTriesTimesPoses / system_.poses);
-  const int tries = std::min(most, static_cast<int>(std::ceil(kExchangeShare * Chosen())));
+  const int tries = std::min(most, std::max(kLeastTries, static_cast<int>(std::ceil(kExchangeShare * Chosen()))));
   Queue others(std::less<Entry>(), EntriesOf(Promising(tries)));
-  // The samples say which ones to look at.
-  worth_.Evaluate(WorthLeast(2 * tries));
-  int failures = 0;
-  for (const int link : WorthLeast(tries)) {
-    const bool is_better = ExchangeOne(link, others);
-    failures = is_better ? 0 : failures + 1;
-    if (failures == kMostFailures) return;
-    out_.exchanges += is_better;
+  std::optional<double> total;
+  if (tries * system_.poses <= kMostTotals) total = worth_.Total();
+  for (int tried = 0, failures = 0; tried < tries && failures < kMostFailures;) {
+    // The samples say which ones to look at.
+    worth_.Evaluate(WorthLeast(2 * tries));
+    const std::vector<int> least = WorthLeast(tries - tried);
+    const int before = out_.exchanges;
+    for (std::size_t k = 0; k < least.size() && failures < kMostFailures; ++k, ++tried) {
+      const bool is_better = ExchangeOne(least[k], others, total);
+      failures = is_better ? 0 : failures + 1;
+      out_.exchanges += is_better;
+    }
+    if (out_.exchanges == before) return;
   }
 }
 

@@ -48,7 +48,7 @@ void RunTable(Options options) {
     Progress progress("runs", static_cast<long>(inputs.size()) * CountRuns(table), table.quiet);
     for (const GraphPath& input : inputs) {
       graphs.push_back(RunSparsifyTable(input, table, progress, done));
-      if (options.json) continue;
+      if (options.json || !graphs.back().failure.empty()) continue;
       progress.Clear();
       std::cout << SparsifyGraphText(graphs.back()) << '\n';
       FlushOutput();
@@ -61,6 +61,9 @@ void RunTable(Options options) {
   if (options.json) {
     PrintJson(SparsifyTableJson(graphs, table));
     return;
+  }
+  for (const SparsifyTableGraph& graph : graphs) {
+    if (failed(graph)) std::cout << SparsifyGraphText(graph) << '\n';
   }
   std::cout << SparsifySummaryText(graphs);
   FlushOutput();
