@@ -24,4 +24,5 @@ PYBIND11_MODULE(_terse, module) {
   BindMapFile(module);
   BindCompact(module);
   BindCompactRun(module);
+  BindSparsify(module);
 }

@@ -1,5 +1,6 @@
 #include "terse/compact/marginal_divergence.h"
 
+#include <algorithm>
 #include <limits>
 
 #include "terse/compact/link_system.h"
@@ -74,7 +75,8 @@ double DivergenceFromMarginal(const PoseGraph<Pose>& whole, const std::vector<Po
     if (f.second >= 0) terms.push_back({of_kept[At(f.second)], f.A_second});
     trace += CombinationCovariance(exact, terms).trace();
   }
-  return 0.5 * (trace - B * kept - approximate.LogDeterminant() + exact.LogDeterminant() - held.LogDeterminant());
+  const double lost = trace - B * kept - approximate.LogDeterminant() + exact.LogDeterminant() - held.LogDeterminant();
+  return std::max(0.0, lost / 2);  // rounding of what cancels
 }
 
 template double DivergenceFromMarginal<SE2>(const PoseGraph<SE2>&, const std::vector<SE2>&, const PoseGraph<SE2>&);

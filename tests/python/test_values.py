@@ -76,7 +76,8 @@ def long_evaluation():
 def not_values(ellipse):
     solver = terse.IncrementalSolver(2)
     terse.replay(square()[0], solver)
-    return [terse.GraphReplay(ellipse), terse.solve(ellipse).marginals(), terse.IncrementalMarginals(solver)]
+    small = terse.sparsify(ellipse, poses=0.5)
+    return [terse.GraphReplay(ellipse), terse.solve(ellipse).marginals(), terse.IncrementalMarginals(solver), small]
 
 
 def test_every_class_says_what_it_holds(ellipse):
