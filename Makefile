@@ -19,7 +19,7 @@ test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_p
   python3-pytest python3-venv mypy man-db bash-completion pkg-config
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs protocol-docs report-page \
+.PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs protocol-docs sparsify-docs report-page \
   readme-picture install package asan fuzz tsan soak format format-check tidy deps clean help
 .DEFAULT_GOAL := all
 
@@ -77,6 +77,11 @@ protocol-docs: build-bench/build.ninja ## run the protocol with wrong loops into
 	@cmake --build build-bench -j $(JOBS) --target bin/terse
 	@build-bench/bin/terse table outliers $(GRAPHS) --graphs $(protocol_graphs) --threads 1 \
 	  --runs build-bench/protocol.jsonl --update docs/outliers.md $(BENCH_ARGS)
+
+sparsify_graphs = intel,city10000,sphere2500,ais2klinik,kitti_02,kitti_05,parking-garage
+sparsify-docs: build-bench/build.ninja ## run the tables of graphs made small into docs/sparsify.md; GRAPHS=folder of the public graphs
+	@cmake --build build-bench -j $(JOBS) --target bin/terse
+	@build-bench/bin/terse table sparsify $(GRAPHS) --graphs $(sparsify_graphs) --update docs/sparsify.md $(BENCH_ARGS)
 
 compact-docs: build-bench/build.ninja ## run the tables of compact pose SLAM into docs/compact.md; GRAPHS=folder of the public graphs
 	@cmake --build build-bench -j $(JOBS) --target bin/terse

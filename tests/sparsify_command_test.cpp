@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <csignal>
+#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <sstream>
@@ -102,6 +103,23 @@ TEST_F(SparsifyCommand, SaysWhatIsWrongAndLosesNothing) {
   Write("broken.g2o", "VERTEX_SE2 0 0 0\n");
   ExpectFailure("sparsify broken.g2o --output small --links 9", 1, "broken.g2o:1");
   EXPECT_EQ(Read("small/stats.json"), before);
+}
+
+TEST_F(SparsifyCommand, WarnsWhereTheResidualsContradictTheInformation) {
+  EXPECT_EQ(Succeed("sparsify walk.g2o --links 20% --output small").err, "");
+  PoseGraph<SE2> unsure;
+  const PoseGraph<SE2> walk = Graph("walk.g2o");
+  for (const auto& node : walk.Poses()) unsure.AddPose(node.id, node.T_world_body);
+  for (const auto& node : walk.Factors()) {
+    auto edge = std::get<RelativePoseFactor<SE2>>(node.factor);
+    edge.information /= 100;
+    unsure.AddFactor(edge);
+  }
+  WriteG2o(unsure, Path("unsure.g2o"));
+  const std::string err = Succeed("sparsify unsure.g2o --links 20% --output small").err;
+  double times = 0;
+  ASSERT_EQ(std::sscanf(err.c_str(), "terse: warning: residuals are %lf times smaller", &times), 1) << err;
+  EXPECT_NEAR(times, 10, 2);
 }
 
 TEST_F(SparsifyCommand, AnInterruptLeavesWhatWasThere) {

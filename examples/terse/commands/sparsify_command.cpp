@@ -18,6 +18,9 @@
 namespace terse {
 namespace {
 
+constexpr long kLeastFreedom = 30;  // residuals beyond what poses take up, to judge the information by
+constexpr double kMostRatio = 3;
+
 struct SparsifyCommandOptions {
   std::string path, directory;
   ReadOptions read;
@@ -86,6 +89,22 @@ void WarnOfWrongLinks(const PoseGraph<Pose>& graph, const Sparsified<Pose>& smal
             << "wrong, leave them out first (terse solve --robust gnc)\n";
 }
 
+// Expected errors are those of the information; where the residuals contradict it, they are off by as much.
+template <class Pose>
+void WarnOfInformation(const PoseGraph<Pose>& graph, const Sparsified<Pose>& small) {
+  long freedom = -Pose::kDof * (static_cast<long>(graph.Poses().size()) - 1);
+  for (const auto& node : graph.Factors()) freedom += Dimension(node.factor);
+  if (freedom < kLeastFreedom) return;
+  const double ratio = std::sqrt(small.chi2_whole / static_cast<double>(freedom));
+  if (ratio > 1 / kMostRatio && ratio < kMostRatio) return;
+  char line[200];
+  std::snprintf(line, sizeof line,
+                "terse: warning: residuals are %.3g times %s than the information says, and errors probably as much "
+                "%s than expected\n",
+                std::max(ratio, 1 / ratio), ratio < 1 ? "smaller" : "larger", ratio < 1 ? "smaller" : "larger");
+  std::cerr << line;
+}
+
 void PrintSummary(const nlohmann::ordered_json& stats, const std::string& directory) {
   char line[400];
   std::snprintf(line, sizeof line,
@@ -123,6 +142,7 @@ void RunOn(const PoseGraph<Pose>& graph, const SparsifyCommandOptions& options, 
   }
   if (options.quiet) return;
   PrintSummary(stats, options.directory);
+  WarnOfInformation(graph, small);
   WarnOfWrongLinks(graph, small);
   const int poses = static_cast<int>(graph.Poses().size());
   const int asked = options.sparsify.poses ? options.sparsify.poses->Of(poses) : poses;
