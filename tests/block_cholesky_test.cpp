@@ -41,12 +41,14 @@ void RunRandomChanges(std::uint64_t seed) {
       changes.new_variables = 1;
       changes.added.push_back(RandomFactor<B>(rng, 0, -1));
     } else {
-      changes.new_variables = static_cast<int>(rng() % 3);
+      // Some steps replace, and nothing else.
+      const bool only_replaces = n > 3 && rng() % 4 == 0;
+      if (!only_replaces) changes.new_variables = static_cast<int>(rng() % 3);
       for (int v = n; v < n + changes.new_variables; ++v) {
         changes.added.push_back(RandomFactor<B>(rng, v, -1));
         changes.added.push_back(RandomFactor<B>(rng, v - 1, v));
       }
-      if (n > 3 && rng() % 2 == 0) {
+      if (!only_replaces && n > 3 && rng() % 2 == 0) {
         const int i = static_cast<int>(rng() % static_cast<std::uint64_t>(n));
         const int j = static_cast<int>(rng() % static_cast<std::uint64_t>(n));
         if (i != j) changes.added.push_back(RandomFactor<B>(rng, i, j));
@@ -54,7 +56,7 @@ void RunRandomChanges(std::uint64_t seed) {
       for (const auto& [slot, f] : mirror.by_slot) {
         if (rng() % 10 == 0) changes.replaced.emplace_back(slot, RandomFactor<B>(rng, f.first, f.second));
         // Unary factors stay: without one the matrix could become singular.
-        else if (f.second >= 0 && rng() % 25 == 0)
+        else if (!only_replaces && f.second >= 0 && rng() % 25 == 0)
           changes.removed.push_back(slot);
       }
     }

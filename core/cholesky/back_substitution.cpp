@@ -53,10 +53,12 @@ std::vector<int> BackSubstitution<B>::Solve(FrontTree<B>& tree, const BlockSyste
   const std::vector<int> waiting = tree.TakeWaiting();
   for (auto it = waiting.rbegin(); it != waiting.rend(); ++it) stack.emplace_back(0.0, *it);
   for (const int f : tree.Roots()) stack.emplace_back(0.0, f);
+  // With a deadline a heap.
+  if (deadline) std::make_heap(stack.begin(), stack.end());
   while (!stack.empty()) {
-    if (deadline && report.flops > 0) {
-      if (Clock::now() > *deadline) break;
-      std::iter_swap(std::max_element(stack.begin(), stack.end()), stack.end() - 1);
+    if (deadline) {
+      if (report.flops > 0 && Clock::now() > *deadline) break;
+      std::pop_heap(stack.begin(), stack.end());
     }
     const double above = stack.back().first;
     Front<B>& front = tree[stack.back().second];
@@ -72,7 +74,9 @@ std::vector<int> BackSubstitution<B>::Solve(FrontTree<B>& tree, const BlockSyste
       const Front<B>& below = tree[child];
       double largest = 0;
       for (const int v : below.separators) largest = std::max(largest, moved_[At(v)]);
-      if (largest > 0 || below.fresh) stack.emplace_back(largest, child);
+      if (!(largest > 0 || below.fresh)) continue;
+      stack.emplace_back(largest, child);
+      if (deadline) std::push_heap(stack.begin(), stack.end());
     }
   }
   Defer(stack, tree);

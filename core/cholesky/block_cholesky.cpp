@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "cholesky/back_substitution.h"
+#include "cholesky/preparation.h"
 #include "cholesky/rank_update.h"
 #include "cholesky/region.h"
 #include "support/version.h"
@@ -23,6 +24,7 @@ struct BlockCholesky<B>::Parts {
   internal::Region<B> region;
   internal::RankUpdate<B> rank_update;
   internal::BackSubstitution<B> substitution;
+  internal::Preparation<B> prepared;
 };
 
 template <int B>
@@ -115,11 +117,23 @@ void BlockCholesky<B>::Resize(int variables) {
   solution_.resize(At(variables) * B, 0.0);
 }
 
+// Of what the region has taken.
+template <int B>
+int BlockCholesky<B>::RefactorRegion(internal::UpdateContext<B>& update) {
+  auto& [tree, numbers, region, rank_update, substitution, prepared] = *parts_;
+  const bool only_replaces =
+      update.undo.added.empty() && update.undo.removed.empty() && update.undo.variables == Variables();
+  if (method_ == Method::kCheapest && only_replaces && !region.HasGrown(tree)) return region.RefactorAsOrdered(update);
+  const int failed = region.Refactor(update);
+  if (failed < 0) rank_update.ForgetDebt();
+  return failed;
+}
+
 // The cheapest way that the method allows. Returns the variable at which the matrix was found not to be positive
 // definite, or -1.
 template <int B>
 int BlockCholesky<B>::BringIn(const typename BlockSystem<B>::Undo& undo, UpdateReport& report) {
-  auto& [tree, numbers, region, rank_update, substitution] = *parts_;
+  auto& [tree, numbers, region, rank_update, substitution, prepared] = *parts_;
   internal::UpdateContext<B> update{system_, undo, tree, numbers, next_version_, report};
   if (!region.TakeAllIfDrifted(update)) {
     if (method_ != Method::kRefactor && CanAppend(update)) return Append(update);
@@ -130,13 +144,72 @@ int BlockCholesky<B>::BringIn(const typename BlockSystem<B>::Undo& undo, UpdateR
       return rank_update.Update(path, update);
     }
   }
-  const int failed = region.Refactor(update);
-  if (failed < 0) rank_update.ForgetDebt();
-  return failed;
+  return RefactorRegion(update);
+}
+
+// The same with the fronts that were prepared; the others are ordered and factored again.
+template <int B>
+int BlockCholesky<B>::BringInPrepared(const typename BlockSystem<B>::Undo& undo, UpdateReport& report) {
+  auto& [tree, numbers, region, rank_update, substitution, prepared] = *parts_;
+  internal::UpdateContext<B> update{system_, undo, tree, numbers, next_version_, report};
+  const std::vector<int> ready = region.TakeAffectedBut(update, prepared);
+  const auto exchange = [&, &tree = tree, &prepared = prepared] {
+    for (const int f : ready) tree.ExchangeNumbers(f, prepared.ReadyFront(f), next_version_);
+  };
+  exchange();
+  int failed = -1;
+  try {
+    failed = RefactorRegion(update);
+  } catch (...) {
+    exchange();
+    throw;
+  }
+  if (failed >= 0) {
+    exchange();
+    return failed;
+  }
+  report.fronts += static_cast<int>(ready.size());
+  for (const int f : ready) report.variables += static_cast<int>(tree[f].pivots.size());
+  if (!ready.empty()) report.path = CholeskyPath::kRefactored;
+  return -1;
 }
 
 template <int B>
-typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& changes) {
+void BlockCholesky<B>::Prepare(const std::vector<std::pair<int, LinearFactor<B>>>& replaced) {
+  parts_->prepared.Replace(replaced, system_, version_);
+}
+
+template <int B>
+PreparationProgress BlockCholesky<B>::Advance(Clock::time_point deadline) {
+  return parts_->prepared.Advance(deadline, system_, version_, parts_->tree, parts_->numbers);
+}
+
+template <int B>
+void BlockCholesky<B>::EndPreparedStep() {
+  parts_->prepared.EndStep(system_, version_);
+}
+
+template <int B>
+void BlockCholesky<B>::ForgetPrepared() {
+  parts_->prepared.Forget();
+}
+
+template <int B>
+typename BlockCholesky<B>::Changes BlockCholesky<B>::PreparedChanges() {
+  Changes changes;
+  changes.replaced = parts_->prepared.Take(system_, version_);
+  return changes;
+}
+
+template <int B>
+typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::UpdatePrepared(const Changes& changes) {
+  UpdateReport report = Update(changes, true);
+  parts_->prepared.Forget();
+  return report;
+}
+
+template <int B>
+typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& changes, bool is_prepared) {
   system_.Check(changes);
   UpdateReport report;
   next_version_ = internal::NextVersion();
@@ -151,7 +224,7 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
     system_.Apply(changes, undo);
     Resize(Variables());
     report.added_slots = undo.added;
-    report.failed_variable = BringIn(undo, report);
+    report.failed_variable = is_prepared ? BringInPrepared(undo, report) : BringIn(undo, report);
   } catch (...) {
     take_back();
     throw;
@@ -207,7 +280,7 @@ template <int B>
 template <class Archive>
 void BlockCholesky<B>::Serialize(Archive& archive) {
   auto& [system, parts, solution, last_solve, method, identity, version, next_version] = *this;
-  auto& [tree, numbers, region, rank_update, substitution] = *parts;
+  auto& [tree, numbers, region, rank_update, substitution, prepared] = *parts;
   archive(system);
   tree.SerializeShape(archive);
   archive(solution, last_solve.flops, last_solve.deferred, method, numbers, region, rank_update);
@@ -228,6 +301,7 @@ void BlockCholesky<B>::Serialize(Archive& archive) {
     system.Rebuild(n);
     numbers.Resize(static_cast<int>(n));
   }
+  prepared.Serialize(archive, system, version, tree, numbers);
 }
 
 #define TERSE_INSTANTIATE(B)                               \

@@ -74,17 +74,23 @@ void BlockSystem<B>::Detach(int slot) {
   }
 }
 
+template <int B>
+typename BlockSystem<B>::Normal BlockSystem<B>::NormalOf(const LinearFactor<B>& factor) {
+  Normal n;
+  n.H_first.noalias() = factor.A_first.transpose() * factor.A_first;
+  n.b_first.noalias() = -(factor.A_first.transpose() * factor.residual);
+  if (factor.second < 0) return n;
+  n.H_second.noalias() = factor.A_second.transpose() * factor.A_second;
+  n.H_cross.noalias() = factor.A_second.transpose() * factor.A_first;
+  n.b_second.noalias() = -(factor.A_second.transpose() * factor.residual);
+  return n;
+}
+
 // Keeps what the factor adds to H and b, which every refactorisation of its front needs.
 template <int B>
 void BlockSystem<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
   factors_[At(slot)] = factor;
-  Normal& n = normals_[At(slot)];
-  n.H_first.noalias() = factor.A_first.transpose() * factor.A_first;
-  n.b_first.noalias() = -(factor.A_first.transpose() * factor.residual);
-  if (factor.second < 0) return;
-  n.H_second.noalias() = factor.A_second.transpose() * factor.A_second;
-  n.H_cross.noalias() = factor.A_second.transpose() * factor.A_first;
-  n.b_second.noalias() = -(factor.A_second.transpose() * factor.residual);
+  normals_[At(slot)] = NormalOf(factor);
 }
 
 // What a factor adds to the diagonal of one of its variables.
@@ -307,8 +313,11 @@ void BlockSystem<B>::SetLinearFactors(const std::vector<LinearFactor<B>>& factor
 template <int B>
 void BlockSystem<B>::Commit(const Undo& undo, std::uint64_t version_before) noexcept {
   for (const auto& change : undo.removed) free_slots_.push_back(change.first);  // Apply made room
+  const size_t changed = undo.added.size() + undo.replaced.size() + undo.removed.size();
+  if (changed > kMostRemembered) return history_.clear();
   try {
     Step step{version_before, {}};
+    step.changes.reserve(changed);
     for (const int slot : undo.added) step.changes.push_back({slot, LinearFactor<B>()});
     for (const auto& [slot, factor] : undo.replaced) step.changes.push_back({slot, factor});
     for (const auto& [slot, factor] : undo.removed) step.changes.push_back({slot, factor});

@@ -81,9 +81,8 @@ int FactorPanel(double* panel, int rows, int pivots, bool parallel) {
 }
 
 template <int B>
-void AssembleFactor(Front<B>& front, int slot, const BlockSystem<B>& system, const std::vector<int>& row_of) {
-  const LinearFactor<B>& f = system.LinearFactorAt(slot);
-  const auto& normal = system.NormalAt(slot);
+void AssembleFactor(Front<B>& front, const LinearFactor<B>& f, const typename BlockSystem<B>::Normal& normal,
+                    const std::vector<int>& row_of) {
   const int i = row_of[At(f.first)];
   AddBlock<B>(front, i, i, normal.H_first);
   AddRightHandSide<B>(front, i, normal.b_first.data(), 1);
@@ -142,7 +141,14 @@ int FrontFactorization<B>::FactorFront(Front<B>& front, const Sources& from, std
   front.update_separators = static_cast<int>(front.separators.size());
   front.corrections.clear();
   front.ForEachRow([&](int v, int row) { row_of[At(v)] = row; });
-  for (const int slot : front.slots) AssembleFactor<B>(front, slot, from.system, row_of);
+  for (const int slot : front.slots) {
+    const typename BlockSystem<B>::Normal* normal = &from.system.NormalAt(slot);
+    if (from.instead != nullptr) {
+      const auto it = from.instead->find(slot);
+      if (it != from.instead->end()) normal = &it->second;
+    }
+    AssembleFactor<B>(front, from.system.LinearFactorAt(slot), *normal, row_of);
+  }
   for (const int child : front.children) {
     AssembleChild<B>(front, child < 0 ? from.pending[At(-1 - child)] : from.tree[child], row_of);
   }

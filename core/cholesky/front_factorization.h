@@ -3,6 +3,7 @@
 // factorisation.
 
 #include <string>
+#include <unordered_map>
 #include <vector>
 
 #include "terse/core/front_tree.h"
@@ -12,16 +13,19 @@ namespace terse::internal {
 template <int B>
 class FrontFactorization {
  public:
+  using Normals = std::unordered_map<int, typename BlockSystem<B>::Normal>;  // by slot
+
   void SetThreads(int threads) { threads_ = threads; }
   int Threads() const { return threads_; }
   void Resize(int variables) { row_of_.resize(At(variables), -1); }
 
   // Assembles and factors one front, which has its buffers; its children that are not in the tree are in `pending`
-  // (FrontTree::Replace). damping: B scalars per variable, added to the diagonal, or empty. Returns the variable at
-  // which the matrix was found not to be positive definite, or -1.
+  // (FrontTree::Replace). damping: B scalars per variable, added to the diagonal, or empty. `instead`: what some slots
+  // add instead of what the system says. Returns the variable at which the matrix was found not to be positive
+  // definite, or -1.
   int Factor(Front<B>& front, const std::vector<Front<B>>& pending, const BlockSystem<B>& system,
-             const FrontTree<B>& tree, const std::vector<double>& damping = {}) {
-    return FactorFront(front, {system, tree, pending, damping}, row_of_, false);
+             const FrontTree<B>& tree, const std::vector<double>& damping = {}, const Normals* instead = nullptr) {
+    return FactorFront(front, {system, tree, pending, damping, instead}, row_of_, false);
   }
   // Factors fronts, children before parents; parents[k] > k is the index of that of fronts[k], or -1. Gives them
   // buffers and counts the flops. Returns the variable at which the matrix was found not to be positive definite,
@@ -50,6 +54,7 @@ class FrontFactorization {
     const FrontTree<B>& tree;
     const std::vector<Front<B>>& pending;
     const std::vector<double>& damping;
+    const Normals* instead = nullptr;
   };
   // row_of: of the calling thread. May run for several fronts at once, if parallel also with threads of its own inside
   // one.

@@ -144,6 +144,21 @@ void FrontTree<B>::Exchange(int id, Front<B>&& changed, std::uint64_t version, B
 }
 
 template <int B>
+void FrontTree<B>::ExchangeNumbers(int id, Front<B>& other, std::uint64_t version) noexcept {
+  Front<B>& front = fronts_[At(id)];
+  log_det_ += other.log_det - front.log_det;
+  y2_ += other.y2 - front.y2;
+  std::swap(front.log_det, other.log_det);
+  std::swap(front.y2, other.y2);
+  front.panel.swap(other.panel);
+  front.update.swap(other.update);
+  std::swap(front.update_separators, other.update_separators);
+  front.corrections.swap(other.corrections);
+  front.fresh = true;
+  front.stamp = version;
+}
+
+template <int B>
 void FrontTree<B>::SetFrontOf(int first, int end, int front) noexcept {
   for (int v = first; v < end; ++v) front_of_[At(v)] = front;
 }

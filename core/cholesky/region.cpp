@@ -1,8 +1,10 @@
 #include "cholesky/region.h"
 
 #include <algorithm>
+#include <functional>
 
 #include "support/stopwatch.h"
+#include "terse/core/front_paths.h"
 #include "terse/core/state_file.h"
 
 namespace terse::internal {
@@ -13,6 +15,8 @@ using std::size_t;
 // So many times the entries of a fresh ordering are too many, in a graph of so many variables.
 constexpr double kDrift = 1.5;
 constexpr int kLeastDrifting = 100;
+// So many times the flops of when the fronts were ordered are too many.
+constexpr double kGrown = 1.25;
 
 }  // namespace
 
@@ -27,6 +31,17 @@ void Region<B>::TakeAffected(const UpdateContext<B>& update) {
       return true;
     });
   });
+}
+
+template <int B>
+std::vector<int> Region<B>::TakeAffectedBut(const UpdateContext<B>& update, const Preparation<B>& prepared) {
+  TakeAffected(update);
+  const auto is_ready = [&](int f) { return prepared.IsReady(f, update.tree); };
+  const auto ready = std::stable_partition(fronts_.begin(), fronts_.end(), std::not_fn(is_ready));
+  std::vector<int> out(ready, fronts_.end());
+  fronts_.erase(ready, fronts_.end());
+  for (const int f : out) is_taken_[At(f)] = 0;
+  return out;
 }
 
 template <int B>
@@ -192,6 +207,58 @@ int Region<B>::Refactor(UpdateContext<B>& update) {
   update.report.variables = static_cast<int>(variables_.size());
   update.report.path = CholeskyPath::kRefactored;
   update.tree.Replace(fronts_, is_taken_, pending, update.version, update.numbers.Pool());
+  return -1;
+}
+
+template <int B>
+bool Region<B>::HasGrown(const FrontTree<B>& tree) const {
+  double now = 0, ordered = 0;
+  for (const int f : fronts_) {
+    now += tree[f].RefactorFlops();
+    const double rows = tree[f].ordered_rows - 1, below = rows - tree[f].ordered_columns;
+    ordered += (rows * rows * rows - below * below * below) / 3;
+  }
+  return now > kGrown * ordered;
+}
+
+template <int B>
+int Region<B>::RefactorAsOrdered(UpdateContext<B>& update) {
+  if (fronts_.empty()) return -1;
+  FrontTree<B>& tree = update.tree;
+  FrontPaths<B> paths(tree);  // all that was taken
+  for (const int f : fronts_) paths.Add(tree[f].pivots.front());
+  const int count = paths.Size();
+  const auto place = [&](int front) { return paths.Find(front) < 0 ? -1 : count - 1 - paths.Find(front); };
+  std::vector<Front<B>> pending(At(count));
+  std::vector<Front<B>*> fronts;
+  std::vector<int> parents;
+  for (int k = 0; k < count; ++k) {
+    const Front<B>& now = paths[count - 1 - k];
+    Front<B>& front = pending[At(k)];
+    front.pivots = now.pivots;
+    front.separators = now.separators;
+    front.slots = now.slots;
+    front.children.reserve(now.children.size());
+    for (const int child : now.children) {
+      if (place(child) < 0) update.numbers.WorkInCorrections(tree[child]);
+      front.children.push_back(place(child) < 0 ? child : -1 - place(child));
+    }
+    fronts.push_back(&front);
+    parents.push_back(now.parent < 0 ? -1 : place(now.parent));
+    update.report.variables += static_cast<int>(now.pivots.size());
+    update.numbers.Pool().MakeRoom(now.panel.size());
+    update.numbers.Pool().MakeRoom(now.update.size());
+  }
+  const int failed = update.numbers.FactorAll(fronts, parents, pending, update.system, tree, {}, update.report.flops);
+  if (failed >= 0) return failed;
+  update.report.fronts = count;
+  update.report.path = CholeskyPath::kRefactored;
+  for (int k = 0; k < count; ++k) {
+    Front<B>& old = pending[At(k)];
+    tree.ExchangeNumbers(paths.IdAt(count - 1 - k), old, update.version);
+    update.numbers.Pool().Give(std::move(old.panel));
+    update.numbers.Pool().Give(std::move(old.update));
+  }
   return -1;
 }
 

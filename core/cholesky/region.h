@@ -2,6 +2,7 @@
 // The touched part of the tree of fronts, ordered and factored again.
 
 #include "cholesky/elimination.h"
+#include "cholesky/preparation.h"
 #include "cholesky/update_context.h"
 
 namespace terse::internal {
@@ -11,6 +12,8 @@ class Region {
  public:
   // Takes the fronts of the touched variables and all their ancestors.
   void TakeAffected(const UpdateContext<B>& update);
+  // But those that are ready, with all that are affected below them; returns these.
+  std::vector<int> TakeAffectedBut(const UpdateContext<B>& update, const Preparation<B>& prepared);
   // Takes all fronts if a fresh ordering of everything would have far fewer entries, which is looked at when the graph
   // has doubled; returns whether it did.
   bool TakeAllIfDrifted(const UpdateContext<B>& update);
@@ -18,6 +21,10 @@ class Region {
   // Orders and factors what was taken and the new variables again. Returns the variable at which the matrix turns out
   // not to be positive definite, or -1; until then the tree stays as it was.
   int Refactor(UpdateContext<B>& update);
+  // The same in the present order, for an update that only replaces linear factors.
+  int RefactorAsOrdered(UpdateContext<B>& update);
+  // Whether what was taken has grown so much since it was ordered that this is to be done again.
+  bool HasGrown(const FrontTree<B>& tree) const;
   // Nothing is taken any more.
   void Clear() noexcept;
 

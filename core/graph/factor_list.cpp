@@ -22,6 +22,9 @@ const FactorNode<Pose>& FactorList<Pose>::at(size_t k) const {
 
 template <class Pose>
 const FactorNode<Pose>* FactorList<Pose>::Find(FactorId id) const {
+  // Where none was ever removed, an id is its own place.
+  const size_t own = id.value < 0 ? nodes_.size() : static_cast<size_t>(id.value);
+  if (own < nodes_.size() && nodes_[own].id == id) return is_gap_[own] ? nullptr : &nodes_[own];
   const auto it = std::lower_bound(nodes_.begin(), nodes_.end(), id,
                                    [](const Node& node, FactorId wanted) { return node.id < wanted; });
   if (it == nodes_.end() || it->id != id || is_gap_[static_cast<size_t>(it - nodes_.begin())]) return nullptr;

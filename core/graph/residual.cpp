@@ -4,7 +4,7 @@ namespace terse {
 
 template <class Pose>
 RelativeResidual<Pose> EvaluateRelative(const Pose& T_from_to, const Pose& T_world_from, const Pose& T_world_to) {
-  const Pose T_to_from = T_world_to.Inverse() * T_world_from;
+  const Pose T_to_from = T_world_to.Between(T_world_from);
   RelativeResidual<Pose> out;
   out.residual = (T_world_from * T_from_to).Local(T_world_to);
   out.J_residual_to = Pose::LocalJacobian(out.residual);

@@ -121,7 +121,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
     ScopedTimer timer(map.Seconds().solve);
     map.PlaceNewPoses(new_poses, report);
   } else {
-    is_deferred = internal::OptimizeOffsets(is_deferred, step);
+    is_deferred = internal::OptimizeOffsets(new_poses, is_deferred, step);
   }
   judge.Review(step);
   parts_->RescueIfDiverging(plan, step);
@@ -130,6 +130,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
     const bool may_take_long = report.gate_open && options_.budget_seconds == 0;
     if (may_take_long && watch.SeemsTrapped(map)) parts_->RestartIfLower(step);
   }
+  relinearization.EndStep(map);
   if (report_cost) report.actual_decrease -= parts_->TimedChi2(report);
   report.seconds += step.Seconds();
   parts_->LogStep(update, report, was_deferred, options_);
@@ -151,7 +152,7 @@ void IncrementalSolver<Pose>::Parts::Add(const GraphUpdate<Pose>& update, const 
   judge.Resize(map);
   const bool has_moved = !plan.moved_points.empty();
   if (has_moved) {
-    relinearization.ForgetErrors();
+    relinearization.ForgetErrors(map);
     is_deferred = false;
   }
   LogFrame(frame, has_moved, options);
@@ -413,6 +414,7 @@ void IncrementalSolver<Pose>::Serialize(Archive& archive) {
          {relinearization.FindStateDefect(map), gate.FindStateDefect(), judge.FindStateDefect(map)}) {
       if (!defect.empty()) archive.Fail(defect);
     }
+    relinearization.NoteLoaded(map);
     if ((options.robust.kernel != RobustKernel::kNone) != judge.IsActive()) archive.Fail("loops that nobody judges");
   }
 }

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <limits>
-#include <set>
 #include <stdexcept>
 
 #include "incremental/update_plan.h"
@@ -61,10 +60,18 @@ LinearFactor<Pose::kDof> LinearizedGraph<Pose>::LinearizeSlot(int slot, const Po
 }
 
 template <class Pose>
+std::vector<int> LinearizedGraph<Pose>::SlotsOn(const std::map<int, Pose>& points) const {
+  std::vector<int> slots;
+  for (const auto& [v, T] : points) slots.insert(slots.end(), cholesky_.SlotsOf(v).begin(), cholesky_.SlotsOf(v).end());
+  std::sort(slots.begin(), slots.end());
+  slots.erase(std::unique(slots.begin(), slots.end()), slots.end());
+  return slots;
+}
+
+template <class Pose>
 typename LinearizedGraph<Pose>::Replacements LinearizedGraph<Pose>::LinearizeAround(
     const std::map<int, Pose>& points) const {
-  std::set<int> slots;
-  for (const auto& [v, T] : points) slots.insert(cholesky_.SlotsOf(v).begin(), cholesky_.SlotsOf(v).end());
+  const std::vector<int> slots = SlotsOn(points);
   const auto point = [&](int v) -> const Pose& {
     const auto it = points.find(v);
     return it != points.end() ? it->second : points_[At(v)];
@@ -102,14 +109,16 @@ void LinearizedGraph<Pose>::RecountCosts() {
 
 template <class Pose>
 typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::UpdateCholesky(const Changes& changes,
-                                                                                   StepReport& report) {
+                                                                                   StepReport& report,
+                                                                                   bool is_prepared) {
   std::vector<LinearFactor<B>> gone;
+  gone.reserve(changes.removed.size() + changes.replaced.size());
   for (const int slot : changes.removed) gone.push_back(cholesky_.LinearFactorAt(slot));
   for (const auto& change : changes.replaced) gone.push_back(cholesky_.LinearFactorAt(change.first));
   UpdateReport done;
   {
     ScopedTimer timer(seconds_.factor);
-    done = cholesky_.Update(changes);
+    done = is_prepared ? cholesky_.UpdatePrepared(changes) : cholesky_.Update(changes);
   }
   seconds_.order += done.seconds_order;
   seconds_.factor -= done.seconds_order;
@@ -210,6 +219,27 @@ bool LinearizedGraph<Pose>::Relinearize(const std::map<int, Pose>& points, const
     cholesky_.ClearSolution(v);
     Touch(v);
   }
+  return true;
+}
+
+template <class Pose>
+PreparationProgress LinearizedGraph<Pose>::Advance(Clock::time_point deadline) {
+  ScopedTimer timer(seconds_.factor);
+  return cholesky_.Advance(deadline);
+}
+
+template <class Pose>
+bool LinearizedGraph<Pose>::RelinearizePrepared(const std::map<int, Pose>& points, Replacements& replaced,
+                                                StepReport& report) {
+  Changes changes = cholesky_.PreparedChanges();
+  if (!UpdateCholesky(changes, report, true).ok) return false;
+  for (const auto& [v, T] : points) {
+    const Vector<B> d = T.Local(EstimateAt(v));
+    points_[At(v)] = T;
+    cholesky_.SetSolution(v, d);
+    Touch(v);
+  }
+  replaced = std::move(changes.replaced);
   return true;
 }
 

@@ -92,6 +92,7 @@ class LinearizedGraph {
 
   // A slot's measurement at other points, by variable; those of all slots on some poses.
   LinearFactor<Pose::kDof> LinearizeSlot(int slot, const PointOf& point) const;
+  std::vector<int> SlotsOn(const std::map<int, Pose>& points) const;
   Replacements LinearizeAround(const std::map<int, Pose>& points) const;
   // A d + r at the present d.
   Vector<Pose::kDof> LinearResidual(int slot) const;
@@ -113,6 +114,13 @@ class LinearizedGraph {
   // New linearisation points and the slots' measurements at them; their offsets become zero. The slots' costs are
   // counted by CountCost, one after the other.
   bool Relinearize(const std::map<int, Pose>& points, const Replacements& replaced, StepReport& report);
+  // The same in pieces, while the map goes on (BlockCholesky::Prepare). The offsets become those from the new points to
+  // the present estimates; `replaced` is what was prepared.
+  void Prepare(const Replacements& replaced) { cholesky_.Prepare(replaced); }
+  PreparationProgress Advance(Clock::time_point deadline);
+  void EndPreparedStep() { cholesky_.EndPreparedStep(); }
+  void ForgetPrepared() { cholesky_.ForgetPrepared(); }
+  bool RelinearizePrepared(const std::map<int, Pose>& points, Replacements& replaced, StepReport& report);
   void CountCost(int slot) { ChangeCosts(cholesky_.LinearFactorAt(slot), 1); }
   // All points, and the gauge that goes with them.
   bool MoveTo(const std::vector<Pose>& T_world_body, const Gauge<Pose>& gauge);
@@ -139,7 +147,7 @@ class LinearizedGraph {
     FactorId id;
     Matrix<B, B> W;
   };
-  UpdateReport UpdateCholesky(const Changes& changes, StepReport& report);
+  UpdateReport UpdateCholesky(const Changes& changes, StepReport& report, bool is_prepared = false);
   void ChangeCosts(const LinearFactor<B>& factor, int sign);
   void RecountCosts();
   void Touch(int index) {

@@ -24,6 +24,27 @@ constexpr double kUrgent = 100;
 // relinearised.
 constexpr double kWorthLooking = 1e-2, kWorthJoining = 1e-2;
 
+// What does not fit into the budget moves at the latest after so many steps, whatever it takes.
+constexpr long kMostSteps = 10;
+// Poses or slots between two looks at the clock.
+constexpr size_t kPiece = 64;
+// What linearising a measurement takes, and everything that comes with it.
+constexpr double kSlotFlops = 2e3;
+// How fast the measured speed follows.
+constexpr double kFollow = 0.3;
+
+template <class Pose>
+void LogShare(double share, size_t points, const LinearizedGraph<Pose>& map, const IncrementalOptions& options) {
+  Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": far steps, ", points, " linearisation points go only ",
+      share, " of the way");
+}
+
+template <class Pose>
+void WarnOfRefusal(size_t points, const LinearizedGraph<Pose>& map, const IncrementalOptions& options) {
+  Log(options.log, LogLevel::kWarning, "step ", map.Updates(), ": not positive definite at ", points,
+      " new linearisation points, the old ones stay");
+}
+
 template <class Pose>
 double Tolerated(const LinearizedGraph<Pose>& map, const IncrementalOptions& options) {
   return options.relinearize_tolerance * map.CostUnit();
@@ -42,14 +63,6 @@ bool IsOutgrown(int variable, const LinearizedGraph<Pose>& map, const Incrementa
          d.template tail<Pose::kDof - Pose::kDim>().norm() > options.relinearize_radians;
 }
 
-// What refactoring the fronts from the variable to the root takes that are not in `taken` yet.
-template <int B>
-double PathFlops(const FrontPaths<B>& taken, int variable) {
-  double flops = 0;
-  taken.ForEachMissing(variable, [&](const Front<B>& front) { flops += front.RefactorFlops(); });
-  return flops;
-}
-
 template <int B>
 double SquaredResiduals(const std::vector<std::pair<int, LinearFactor<B>>>& replaced) {
   double sum = 0;
@@ -66,7 +79,9 @@ void Relinearization<Pose>::Resize(const Map& map) {
 }
 
 template <class Pose>
-void Relinearization<Pose>::ForgetErrors() {
+void Relinearization<Pose>::ForgetErrors(Map& map) {
+  prepared_ = {};
+  map.ForgetPrepared();
   for (OfPose& pose : poses_) {
     pose.seen.setZero();
     pose.possible = 0;
@@ -133,24 +148,30 @@ double Relinearization<Pose>::LinearizationError(int slot, const Map& map) {
   return (WhitenedResidualAt(slot, map) - map.LinearResidual(slot)).squaredNorm();
 }
 
-// Of the factors on poses that moved.
+// Of the factors on poses that moved; false if the deadline came before it had looked at all.
 template <class Pose>
-void Relinearization<Pose>::UpdateErrors(const Map& map, const IncrementalOptions& options) {
+bool Relinearization<Pose>::UpdateErrors(Deadline deadline, const Map& map, const IncrementalOptions& options) {
   ++look_;
   std::vector<int> slots;
-  for (const int v : moved_) {
-    At(v).possible = 0;
-    At(v).seen = map.OffsetOf(v);
-    for (const int slot : map.Cholesky().SlotsOf(v)) {
-      if (std::exchange(SlotAt(slot).is_listed, 1) == 0) slots.push_back(slot);
+  while (!moved_.empty()) {
+    const size_t piece = deadline ? std::min(kPiece, moved_.size()) : moved_.size();
+    slots.clear();
+    for (auto it = moved_.end() - static_cast<long>(piece); it != moved_.end(); ++it) {
+      possible_error_ -= std::exchange(At(*it).possible, 0.0);
+      At(*it).seen = map.OffsetOf(*it);
+      for (const int slot : map.Cholesky().SlotsOf(*it)) {
+        if (std::exchange(SlotAt(slot).is_listed, 1) == 0) slots.push_back(slot);
+      }
     }
+    moved_.resize(moved_.size() - piece);
+    for (const int slot : slots) {
+      SlotAt(slot).is_listed = 0;
+      SetError(slot, LinearizationError(slot, map), Suspicious(map, options));
+    }
+    if (deadline && !moved_.empty() && Clock::now() > *deadline) return false;
   }
-  moved_.clear();
   possible_error_ = 0;
-  for (const int slot : slots) {
-    SlotAt(slot).is_listed = 0;
-    SetError(slot, LinearizationError(slot, map), Suspicious(map, options));
-  }
+  return true;
 }
 
 template <class Pose>
@@ -173,10 +194,8 @@ void Relinearization<Pose>::SortSuspects(double suspicious) {
 
 // The poses of the worst factors, so many that what is left is half of what is tolerated.
 template <class Pose>
-std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, Deadline deadline, const Map& map,
-                                                       const IncrementalOptions& options, StepReport& report) {
-  UpdateErrors(map, options);
-  looked_at_ = map.Updates();
+std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, const Map& map,
+                                                       const IncrementalOptions& options) {
   const BlockCholesky<B>& cholesky = map.Cholesky();
   const double tolerated = Tolerated(map, options);
   std::map<int, Pose> points;
@@ -184,24 +203,8 @@ std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, Deadline de
   SortSuspects(Suspicious(map, options));
   double left = error_sum_;
   std::vector<int> added;
-  FrontPaths<B> paths(cholesky.Tree());
-  const double affordable = deadline ? AffordableFlops(*deadline) : std::numeric_limits<double>::infinity();
-  double flops = 0;
-  report.deferred_relinearisations = 0;
   const auto add = [&](int v) {
     if (v < 0 || !IsOutgrown(v, map, options) || points.count(v) != 0) return;
-    if (deadline) {
-      const double more = PathFlops(paths, v);
-      // A step that brings nothing gets on whatever the budget: what never fits would wait for ever.
-      // But not from an estimate that back-substitution has half done.
-      const bool must = points.empty() && report.path == CholeskyPath::kNone && cholesky.LastSolve().deferred == 0;
-      if (flops + more > affordable && !must) {
-        ++report.deferred_relinearisations;
-        return;
-      }
-      flops += more;
-      paths.Add(v);
-    }
     points.emplace(v, RememberedEstimate(v, map));
     added.push_back(v);
   };
@@ -224,12 +227,6 @@ std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, Deadline de
   return points;
 }
 
-template <class Pose>
-double Relinearization<Pose>::AffordableFlops(Clock::time_point deadline) const {
-  // Half of the time is for back-substitution and for what the prediction misses.
-  return 0.5 * std::chrono::duration<double>(deadline - Clock::now()).count() / seconds_per_flop_;
-}
-
 // The linearisation error of a factor when these poses are relinearised.
 template <class Pose>
 double Relinearization<Pose>::ErrorAfter(int slot, const std::map<int, Pose>& points, const Map& map) {
@@ -247,8 +244,7 @@ template <class Pose>
 bool Relinearization<Pose>::MovePoints(const std::map<int, Pose>& points, const typename Map::Replacements& replaced,
                                        Map& map, const IncrementalOptions& options, StepReport& report) {
   if (!map.Relinearize(points, replaced, report)) {
-    Log(options.log, LogLevel::kWarning, "step ", map.Updates(), ": not positive definite at ", points.size(),
-        " new linearisation points, the old ones stay");
+    WarnOfRefusal(points.size(), map, options);
     return false;
   }
   for (const auto& point : points) At(point.first).seen.setZero();
@@ -265,48 +261,185 @@ bool Relinearization<Pose>::MovePoints(const std::map<int, Pose>& points, const 
 template <class Pose>
 bool Relinearization<Pose>::MoveWorst(bool urgently, Deadline deadline, Map& map, const IncrementalOptions& options,
                                       StepReport& report) {
+  if (!prepared_.points.empty()) return MovePrepared(*deadline, map, options, report);
   std::map<int, Pose> points;
+  {
+    ScopedTimer timer(map.Seconds().linearise);
+    if (!UpdateErrors(deadline, map, options)) {
+      report.deferred_relinearisations = static_cast<int>(moved_.size());
+      return false;
+    }
+    looked_at_ = map.Updates();
+    points = ChoosePoses(urgently ? kUrgent : 1, map, options);
+  }
+  if (points.empty()) return false;
+  if (!deadline || Fits(points, *deadline, map)) return MoveAtOnce(std::move(points), map, options, report);
+  Prepare(std::move(points), map);
+  return MovePrepared(*deadline, map, options, report);
+}
+
+template <class Pose>
+bool Relinearization<Pose>::MoveAtOnce(std::map<int, Pose> points, Map& map, const IncrementalOptions& options,
+                                       StepReport& report) {
+  const auto start = Clock::now();
   typename Map::Replacements replaced;
   {
     ScopedTimer timer(map.Seconds().linearise);
-    points = ChoosePoses(urgently ? kUrgent : 1, deadline, map, options, report);
-    if (points.empty()) return false;
     replaced = map.LinearizeAround(points);
     double before = static_cast<double>(B * replaced.size());
     for (const auto& change : replaced) before += map.Cholesky().LinearFactorAt(change.first).residual.squaredNorm();
     for (double share = 1; share >= kLeastShare; share /= 2) {
       if (SquaredResiduals(replaced) <= kClimb * before) {
-        if (share < 1) {
-          Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": far steps, ", points.size(),
-              " linearisation points go only ", share, " of the way");
-        }
+        if (share < 1) LogShare(share, points.size(), map, options);
         break;
       }
       for (auto& [v, T] : points) T = map.Points()[static_cast<size_t>(v)].Retract(share / 2 * map.OffsetOf(v));
       replaced = map.LinearizeAround(points);
     }
   }
-  const auto start = Clock::now();
+  const double flops = report.flops;
+  if (!MovePoints(points, replaced, map, options, report)) return false;
+  const double done = report.flops - flops + kSlotFlops * static_cast<double>(replaced.size());
+  const double measured = std::chrono::duration<double>(Clock::now() - start).count() / done;
+  seconds_per_flop_ += kFollow * (measured - seconds_per_flop_);
+  return true;
+}
+
+template <class Pose>
+bool Relinearization<Pose>::Fits(const std::map<int, Pose>& points, Clock::time_point deadline, const Map& map) const {
+  const double flops_left =
+      std::chrono::duration<double>(deadline - Clock::now()).count() / std::max(seconds_per_flop_, 1e-12);
+  const BlockCholesky<B>& cholesky = map.Cholesky();
+  FrontPaths<B> paths(cholesky.Tree());
   double flops = 0;
-  if (deadline) {
-    FrontPaths<B> paths(map.Cholesky().Tree());
-    for (const auto& point : points) {
-      flops += PathFlops(paths, point.first);
-      paths.Add(point.first);
+  for (const auto& point : points) {
+    paths.ForEachMissing(point.first, [&](const Front<B>& front) { flops += front.RefactorFlops(); });
+    paths.Add(point.first);
+    flops += kSlotFlops * static_cast<double>(cholesky.SlotsOf(point.first).size());
+    if (flops > flops_left) return false;
+  }
+  return true;
+}
+
+template <class Pose>
+void Relinearization<Pose>::Prepare(std::map<int, Pose> points, Map& map) {
+  prepared_ = {};
+  prepared_.points = std::move(points);
+  prepared_.since = map.Updates();
+  PrepareAgain(map);
+}
+
+template <class Pose>
+void Relinearization<Pose>::PrepareAgain(Map& map) {
+  map.ForgetPrepared();
+  prepared_.queue = map.SlotsOn(prepared_.points);
+  prepared_.before = prepared_.cost = 0;
+  prepared_.version = map.Cholesky().Version();
+}
+
+// Slots that came or changed since this was called last, on poses whose points are made ready.
+template <class Pose>
+void Relinearization<Pose>::QueueChanged(Map& map) {
+  const BlockCholesky<B>& cholesky = map.Cholesky();
+  const std::uint64_t before = std::exchange(prepared_.version, cholesky.Version());
+  const auto changes = cholesky.ChangesSince(before);
+  if (!changes) return PrepareAgain(map);  // too many
+  for (const auto& change : *changes) {
+    const LinearFactor<B>& f = cholesky.LinearFactorAt(change.slot);
+    if (f.first >= 0 && (prepared_.points.count(f.first) != 0 || prepared_.points.count(f.second) != 0)) {
+      prepared_.queue.push_back(change.slot);
     }
   }
-  if (!MovePoints(points, replaced, map, options, report)) return false;
-  if (deadline) {
-    const double measured = std::chrono::duration<double>(Clock::now() - start).count() / std::max(flops, 1e3);
-    seconds_per_flop_ += 0.3 * (measured - seconds_per_flop_);
+}
+
+template <class Pose>
+void Relinearization<Pose>::EndStep(Map& map) {
+  if (prepared_.points.empty()) return;
+  QueueChanged(map);
+  map.EndPreparedStep();
+}
+
+// True when the queue is empty. Points that would make their measurements cost far more go half as far, as at once.
+template <class Pose>
+bool Relinearization<Pose>::LinearizePrepared(Clock::time_point deadline, Map& map, const IncrementalOptions& options) {
+  ScopedTimer timer(map.Seconds().linearise);
+  auto& [points, queue, before, cost, share, is_checked, since, version] = prepared_;
+  const auto point = [&, &points = points](int v) -> const Pose& {
+    const auto it = points.find(v);
+    return it != points.end() ? it->second : map.Points()[static_cast<size_t>(v)];
+  };
+  typename Map::Replacements replaced;
+  for (;;) {
+    while (!queue.empty()) {
+      replaced.clear();
+      for (size_t k = 0; k < kPiece && !queue.empty(); ++k) {
+        const int slot = queue.back();
+        queue.pop_back();
+        if (map.Cholesky().LinearFactorAt(slot).first < 0) continue;  // gone meanwhile
+        replaced.emplace_back(slot, map.LinearizeSlot(slot, point));
+        before += B + map.Cholesky().LinearFactorAt(slot).residual.squaredNorm();
+        cost += replaced.back().second.residual.squaredNorm();
+      }
+      map.Prepare(replaced);
+      if (!queue.empty() && Clock::now() > deadline) return false;
+    }
+    is_checked = is_checked || cost <= kClimb * before || share / 2 < kLeastShare;
+    if (is_checked) return true;
+    for (auto& [v, T] : points) {
+      const Pose& from = map.Points()[static_cast<size_t>(v)];
+      T = from.Retract(from.Local(T) / 2);
+    }
+    share /= 2;
+    LogShare(share, points.size(), map, options);
+    PrepareAgain(map);
   }
+}
+
+// Goes on with what is made ready; true if it moved.
+template <class Pose>
+bool Relinearization<Pose>::MovePrepared(Clock::time_point deadline, Map& map, const IncrementalOptions& options,
+                                         StepReport& report) {
+  const bool is_late = map.Updates() - prepared_.since >= kMostSteps;
+  QueueChanged(map);
+  PreparationProgress progress;
+  bool is_ready = LinearizePrepared(is_late ? Clock::time_point::max() : deadline, map, options);
+  if (is_ready && !is_late) {
+    progress = map.Advance(deadline);
+    const double left = std::chrono::duration<double>(deadline - Clock::now()).count();
+    is_ready = progress.failed_variable >= 0 || (progress.fronts_left == 0 && progress.seconds_left <= left);
+  }
+  report.deferred_relinearisations = is_ready ? 0 : static_cast<int>(prepared_.points.size());
+  if (!is_ready) return false;
+  const std::map<int, Pose> points = std::move(prepared_.points);
+  prepared_ = {};
+  typename Map::Replacements replaced;
+  if (progress.failed_variable >= 0 || !map.RelinearizePrepared(points, replaced, report)) {
+    WarnOfRefusal(points.size(), map, options);
+    map.ForgetPrepared();
+    return false;
+  }
+  for (const auto& change : replaced) {
+    map.CountCost(change.first);
+    SetError(change.first, 0, Suspicious(map, options));
+  }
+  std::vector<int> moved;
+  for (const auto& point : points) {
+    OfPose& pose = At(point.first);
+    pose.seen.setZero();
+    possible_error_ -= std::exchange(pose.possible, 0.0);
+    moved.push_back(point.first);
+  }
+  moved_.erase(std::remove_if(moved_.begin(), moved_.end(), [&](int v) { return At(v).possible == 0; }), moved_.end());
+  NoteMoved(moved, map, options);
+  report.variables_relinearised += static_cast<int>(points.size());
   return true;
 }
 
 template <class Pose>
 template <class Archive>
 void Relinearization<Pose>::Serialize(Archive& archive) {
-  auto& [poses, slots, moved, possible_error, suspects, error_sum, look, looked_at, seconds_per_flop] = *this;
+  auto& [poses, slots, moved, possible_error, suspects, error_sum, look, looked_at, solve_seconds, unfinished_solves,
+         seconds_per_flop, prepared] = *this;
   archive.Each(poses, [&](OfPose& pose) {
     auto& [possible, seen, remembered, remembered_in] = pose;
     archive(possible, seen, remembered, remembered_in);
@@ -315,7 +448,12 @@ void Relinearization<Pose>::Serialize(Archive& archive) {
     auto& [error, is_suspect, is_listed] = slot;
     archive(error, is_suspect, is_listed);
   });
-  archive(moved, possible_error, suspects, error_sum, look, looked_at);
+  archive(moved, possible_error, suspects, error_sum, look, looked_at, unfinished_solves);
+  auto& [points, queue, before, cost, share, is_checked, since, version] = prepared;
+  std::vector<std::pair<int, Pose>> list(points.begin(), points.end());
+  archive.Each(list, [&](std::pair<int, Pose>& entry) { archive(entry.first, entry.second); });
+  points = std::map<int, Pose>(list.begin(), list.end());
+  archive(queue, before, cost, share, is_checked, since);
 }
 
 template <class Pose>
@@ -338,6 +476,14 @@ std::string Relinearization<Pose>::FindStateDefect(const Map& map) const {
   for (int slot = 0; slot < map.Slots(); ++slot) {
     const bool is_measured = map.IdAt(slot).value >= 0;
     if (!is_measured && slots_[static_cast<size_t>(slot)].error != 0) return "an error of no measurement";
+  }
+  const auto& [points, queue, before, cost, share, is_checked, since, version] = prepared_;
+  if (!are_below(queue, slots_.size())) return "a slot is to be linearised that there is not";
+  if (!points.empty() && (points.begin()->first < 0 || static_cast<size_t>(points.rbegin()->first) >= poses_.size())) {
+    return "a pose is made ready that there is not";
+  }
+  if (unfinished_solves_ < 0 || since < 0 || since > map.Updates() || !(share > 0 && share <= 1)) {
+    return "it has miscounted";
   }
   const auto is_count = [](long number) { return number >= 0 && number < std::numeric_limits<long>::max() / 2; };
   return is_count(look_) && is_count(looked_at_) ? "" : "it has miscounted";

@@ -22,20 +22,33 @@ class Relinearization {
   // every pose is its own linearisation point.
   void Resize(const Map& map);
   void Release(int slot) { error_sum_ -= std::exchange(slots_[static_cast<std::size_t>(slot)].error, 0.0); }
-  void ForgetErrors();
+  void ForgetErrors(Map& map);
 
   // Poses that moved by back-substitution.
   void NoteMoved(const std::vector<int>& moved, const Map& map, const IncrementalOptions& options);
+  // What back-substitutions took of late at most, about; how many in a row did not come to an end.
+  void NoteSolved(double seconds, bool is_done) {
+    solve_seconds_ = std::max(seconds, kForget * solve_seconds_);
+    unfinished_solves_ = is_done ? 0 : unfinished_solves_ + 1;
+  }
+  double SolveSeconds() const { return solve_seconds_; }
+  int UnfinishedSolves() const { return unfinished_solves_; }
   bool IsDue(const Map& map, const IncrementalOptions& options) const {
     return !moved_.empty() && map.Updates() - looked_at_ >= options.relinearize_interval;
   }
+  // Poses, at most, that are to be looked at or are made ready.
+  int Unseen() const { return static_cast<int>(moved_.size() + prepared_.points.size()); }
   // Errors of many times what is tolerated do not wait for the interval.
   bool IsUrgent(const Map& map, const IncrementalOptions& options) const;
 
   // Moves the linearisation points of the poses with the worst factors to their estimates, if the errors add up to
-  // `times` what is tolerated; once (or urgently) so far as the deadline allows. A wrong or far link can throw an
+  // `times` what is tolerated; once (or urgently). A wrong or far link can throw an
   // estimate to where the linearisation means nothing; there the points go only part of the way. True if any moved.
+  // What does not fit is made ready in pieces by this and later calls, and moves all at once when it is: of poses that
+  // moved together, some at new points and some at old ones would make the linearised system mean nothing.
   bool MoveWorst(bool urgently, Deadline deadline, Map& map, const IncrementalOptions& options, StepReport& report);
+  // After whatever else a step did.
+  void EndStep(Map& map);
   // Moves linearisation points; their d becomes zero. If the Cholesky factor does not take it, nothing changes.
   bool MovePoints(const std::map<int, Pose>& points, const typename Map::Replacements& replaced, Map& map,
                   const IncrementalOptions& options, StepReport& report);
@@ -46,6 +59,7 @@ class Relinearization {
   template <class Archive>
   void SerializeTimes(Archive& archive);
   std::string FindStateDefect(const Map& map) const;
+  void NoteLoaded(const Map& map) { prepared_.version = map.Cholesky().Version(); }
 
  private:
   struct OfPose {
@@ -65,12 +79,18 @@ class Relinearization {
   Vector<Pose::kDof> WhitenedResidualAt(int slot, const Map& map);
   double LinearizationError(int slot, const Map& map);
   double ErrorAfter(int slot, const std::map<int, Pose>& points, const Map& map);
-  void UpdateErrors(const Map& map, const IncrementalOptions& options);
+  bool UpdateErrors(Deadline deadline, const Map& map, const IncrementalOptions& options);
   void SetError(int slot, double error, double suspicious);
   void SortSuspects(double suspicious);
-  std::map<int, Pose> ChoosePoses(double times, Deadline deadline, const Map& map, const IncrementalOptions& options,
-                                  StepReport& report);
-  double AffordableFlops(Clock::time_point deadline) const;
+  std::map<int, Pose> ChoosePoses(double times, const Map& map, const IncrementalOptions& options);
+  bool MoveAtOnce(std::map<int, Pose> points, Map& map, const IncrementalOptions& options, StepReport& report);
+  // In pieces.
+  bool Fits(const std::map<int, Pose>& points, Clock::time_point deadline, const Map& map) const;
+  void Prepare(std::map<int, Pose> points, Map& map);
+  void PrepareAgain(Map& map);
+  void QueueChanged(Map& map);
+  bool LinearizePrepared(Clock::time_point deadline, Map& map, const IncrementalOptions& options);
+  bool MovePrepared(Clock::time_point deadline, Map& map, const IncrementalOptions& options, StepReport& report);
 
   std::vector<OfPose> poses_;  // by index
   std::vector<OfSlot> slots_;
@@ -78,9 +98,24 @@ class Relinearization {
   double possible_error_ = 0;  // of moved_
   std::vector<int> suspects_;  // slots with an error worth looking at
   double error_sum_ = 0;
-  long look_ = 0;                   // counts the looks at the errors
-  long looked_at_ = 0;              // the update of the last one
+  long look_ = 0;       // counts the looks at the errors
+  long looked_at_ = 0;  // the update of the last one
+  static constexpr double kForget = 0.98;
+  double solve_seconds_ = 0;
+  int unfinished_solves_ = 0;
   double seconds_per_flop_ = 1e-9;  // of relinearisation: measured, by the flops that were predicted
+
+  // Points that are made ready.
+  struct Prepared {
+    std::map<int, Pose> points;
+    std::vector<int> queue;       // slots to be linearised
+    double before = 0, cost = 0;  // of those that were
+    double share = 1;             // of the way to the estimates that the points go
+    bool is_checked = false;      // that this is not too far
+    long since = 0;               // the update
+    std::uint64_t version = 0;    // up to which changes are known
+  };
+  Prepared prepared_;
 };
 
 }  // namespace terse::internal

@@ -22,7 +22,7 @@ struct StepContext {
 // Carry::kOffset: relinearises what is due (or left, if the last step deferred work), back-substitutes, and again while
 // the errors are urgent. True if work is deferred to later steps.
 template <class Pose>
-bool OptimizeOffsets(bool was_deferred, StepContext<Pose>& step);
+bool OptimizeOffsets(int new_poses, bool was_deferred, StepContext<Pose>& step);
 // One back-substitution, of everything that it reaches or up to the deadline.
 template <class Pose>
 void BackSubstitute(std::optional<std::chrono::steady_clock::time_point> deadline, StepContext<Pose>& step);

@@ -45,6 +45,13 @@ struct CholeskyReport {
   double seconds_order = 0;       // of the symbolic part
 };
 
+// How far an update is that is made ready in pieces.
+struct PreparationProgress {
+  int failed_variable = -1;  // where the matrix was found not to be positive definite
+  int fronts_left = 0;       // that did not change in this step
+  double seconds_left = 0;   // predicted, those that changed among them
+};
+
 namespace internal {
 // A number that no other object has, nor the same object after it was assigned to or moved from.
 class Identity {
@@ -70,6 +77,8 @@ class Identity {
 
 template <int B>
 class FrontTree;
+template <int B>
+struct UpdateContext;
 }  // namespace internal
 
 template <int B>
@@ -93,7 +102,19 @@ class BlockCholesky {
 
   // If the changed matrix is not positive definite (to rounding), or a right-hand side is not finite, nothing is
   // changed and ok is false. Throws std::invalid_argument for changes that contradict each other or the graph.
-  [[nodiscard]] UpdateReport Update(const Changes& changes);
+  [[nodiscard]] UpdateReport Update(const Changes& changes) { return Update(changes, false); }
+
+  // An update that only replaces linear factors can be made ready in pieces, while others go on and the old factor
+  // stays in use. Prepare adds to what is prepared; a slot that another update changes is not any more. Advance goes on
+  // until the deadline, one front at least, and leaves those out that changed since EndPreparedStep, because they may
+  // well change again. UpdatePrepared is Update with PreparedChanges, whatever fronts are left;
+  // nothing is prepared after it.
+  void Prepare(const std::vector<std::pair<int, LinearFactor<B>>>& replaced);
+  PreparationProgress Advance(Clock::time_point deadline);
+  void EndPreparedStep();
+  void ForgetPrepared();
+  Changes PreparedChanges();
+  [[nodiscard]] UpdateReport UpdatePrepared(const Changes& changes);
 
   // Up to so many threads (1 at first) share large work; results are the same to the last bit for any number. Throws
   // std::invalid_argument for less than one.
@@ -149,6 +170,9 @@ class BlockCholesky {
   void Swap(BlockCholesky& other) noexcept;
   void Resize(int variables);
   int BringIn(const typename BlockSystem<B>::Undo& undo, UpdateReport& report);
+  int BringInPrepared(const typename BlockSystem<B>::Undo& undo, UpdateReport& report);
+  int RefactorRegion(internal::UpdateContext<B>& update);
+  UpdateReport Update(const Changes& changes, bool is_prepared);
   // As state_file.h says.
   friend struct internal::StateAccess;
   template <class Archive>

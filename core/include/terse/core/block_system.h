@@ -37,6 +37,7 @@ class BlockSystem {
     Matrix<B, B> H_first, H_second, H_cross;  // H_cross: second's rows, first's columns
     Vector<B> b_first, b_second;
   };
+  static Normal NormalOf(const LinearFactor<B>& factor);
   // A slot that changed, and what it held before: first is -1 if nothing.
   struct SlotChange {
     int slot;

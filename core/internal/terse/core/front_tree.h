@@ -60,6 +60,8 @@ class FrontTree {
   // A front after a rank-k update: its variables, panel, sums, new slots and correction come out of `changed`, its old
   // panel goes to the pool.
   void Exchange(int front, Front<B>&& changed, std::uint64_t version, BufferPool& pool) noexcept;
+  // A front and one of the same shape exchange their numbers.
+  void ExchangeNumbers(int front, Front<B>& other, std::uint64_t version) noexcept;
   // These variables are pivots of the front.
   void SetFrontOf(int first, int end, int front) noexcept;
   // All numbers are new; `order` is TopDown().

@@ -32,6 +32,10 @@ class SE2 {
     return SE2(translation_ + Rotation() * other.translation_, theta_ + other.theta_);
   }
   Position operator*(const Position& p) const { return Rotation() * p + translation_; }
+  // Inverse() * other.
+  SE2 Between(const SE2& other) const {
+    return SE2(Rotation().transpose() * (other.translation_ - translation_), other.theta_ - theta_);
+  }
   SE2 Inverse() const { return SE2(-(Rotation().transpose() * translation_), -theta_); }
   Jacobian Adjoint() const;
 
@@ -42,8 +46,8 @@ class SE2 {
 
   SE2 Retract(const Tangent& d) const { return *this * SE2(d[0], d[1], d[2]); }
   Tangent Local(const SE2& other) const {
-    const SE2 error = Inverse() * other;
-    return Tangent(error.translation_.x(), error.translation_.y(), error.theta_);
+    const Position p = Rotation().transpose() * (other.translation_ - translation_);
+    return Tangent(p.x(), p.y(), WrapAngle(other.theta_ - theta_));
   }
   // d [x y theta](E) / d e for E <- E * SE2(e), at [x y theta](E) = r.
   static Jacobian LocalJacobian(const Tangent& r);

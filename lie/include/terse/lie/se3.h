@@ -28,6 +28,8 @@ class SE3 {
   }
   Position operator*(const Position& p) const { return rotation_ * p + translation_; }
   SE3 Inverse() const;
+  // Inverse() * other.
+  SE3 Between(const SE3& other) const { return Inverse() * other; }
   // Exp(Adjoint() d) = T Exp(d) T^-1.
   Jacobian Adjoint() const;
 
