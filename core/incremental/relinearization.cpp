@@ -261,7 +261,9 @@ bool Relinearization<Pose>::MovePoints(const std::map<int, Pose>& points, const 
 template <class Pose>
 bool Relinearization<Pose>::MoveWorst(bool urgently, Deadline deadline, Map& map, const IncrementalOptions& options,
                                       StepReport& report) {
-  if (!prepared_.points.empty()) return MovePrepared(*deadline, map, options, report);
+  if (!prepared_.points.empty()) {
+    return MovePrepared(deadline.value_or(Clock::time_point::max()), map, options, report);
+  }
   std::map<int, Pose> points;
   {
     ScopedTimer timer(map.Seconds().linearise);

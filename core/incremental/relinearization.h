@@ -41,11 +41,11 @@ class Relinearization {
   // Errors of many times what is tolerated do not wait for the interval.
   bool IsUrgent(const Map& map, const IncrementalOptions& options) const;
 
-  // Moves the linearisation points of the poses with the worst factors to their estimates, if the errors add up to
-  // `times` what is tolerated; once (or urgently). A wrong or far link can throw an
-  // estimate to where the linearisation means nothing; there the points go only part of the way. True if any moved.
-  // What does not fit is made ready in pieces by this and later calls, and moves all at once when it is: of poses that
-  // moved together, some at new points and some at old ones would make the linearised system mean nothing.
+  // Moves the linearisation points of the poses with the worst factors to their estimates, if the errors add up to more
+  // than is tolerated (urgently: than many times that). A wrong or far link can throw an estimate to where the
+  // linearisation means nothing; there the points go only part of the way. True if any moved. What does not fit before
+  // the deadline is made ready in pieces by this and later calls, and moves all at once when it is: of poses that moved
+  // together, some at new points and some at old ones would make the linearised system mean nothing.
   bool MoveWorst(bool urgently, Deadline deadline, Map& map, const IncrementalOptions& options, StepReport& report);
   // After whatever else a step did.
   void EndStep(Map& map);

@@ -88,8 +88,9 @@ struct IncrementalOptions {
   // kPoint: a step that raises chi2 is replaced by the full Gauss-Newton step, then shortened until it does not.
   bool guard = true;
 
-  // Seconds a step may take; 0: no limit. What does not fit is deferred to later steps, largest expected gain first:
-  // relinearisation by predicted time, back-substitution by the clock. Adding the factors is never deferred. An
+  // Seconds a step may take; 0: no limit. kOffset: relinearisation that does not fit is made ready in pieces by later
+  // steps and moves at once, after ten steps at the latest; back-substitution leaves subtrees to the next step, those
+  // that moved least, but every tenth goes to the end. kPoint: iterations end. Adding the factors is never deferred. An
   // update without factors works off what is left.
   double budget_seconds = 0;
 
