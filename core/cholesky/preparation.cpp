@@ -100,11 +100,13 @@ PreparationProgress Preparation<B>::Advance(Clock::time_point deadline, const Bl
                                             std::uint64_t version, FrontTree<B>& tree, FrontFactorization<B>& numbers) {
   ForgetChanged(system, version);
   place_.resize(At(tree.Size()), -1);
-  for (const int v : std::exchange(changed_, {})) {
-    tree.Climb(tree.FrontOf(v), [&](int f) {
-      if (place_[At(f)] >= 0) stamps_[At(place_[At(f)])] = 0;
-      return true;
-    });
+  {
+    FrontPaths<B> changed(tree);
+    for (const int v : std::exchange(changed_, {})) changed.Add(v);
+    for (int k = 0; k < changed.Size(); ++k) {
+      const int place = place_[At(changed.IdAt(k))];
+      if (place >= 0) stamps_[At(place)] = 0;
+    }
   }
   FrontPaths<B> affected(tree);
   for (const int v : variables_) affected.Add(v);

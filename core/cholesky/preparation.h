@@ -4,7 +4,6 @@
 // since is factored again.
 
 #include <chrono>
-#include <map>
 #include <string>
 #include <utility>
 #include <vector>
@@ -36,8 +35,8 @@ class Preparation {
     ForgetChanged(system, version);
     step_ended_ = version;
   }
-  // As state_file.h says, after EndStep. What is ready is worked out anew from a file,
-  // which has to fit the system and the tree.
+  // As state_file.h says, after EndStep. What is ready is worked out anew from a file, which has to fit the system and
+  // the tree.
   template <class Archive>
   void Serialize(Archive& archive, const BlockSystem<B>& system, std::uint64_t version, FrontTree<B>& tree,
                  FrontFactorization<B>& numbers);

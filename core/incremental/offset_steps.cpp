@@ -21,7 +21,7 @@ bool OptimizeOffsets(int new_poses, bool was_deferred, StepContext<Pose>& step) 
   };
   if (options.budget_seconds > 0) deadline = start + seconds(options.budget_seconds);
   // Leaves time for back-substitution.
-  const auto for_points = [&] {
+  const auto for_points = [&, &options = step.options, &relinearization = step.relinearization] {
     std::optional<Clock::time_point> until = deadline;
     const double reserve = std::min(kReserve * relinearization.SolveSeconds(), options.budget_seconds / 2);
     if (until) *until -= seconds(reserve);
