@@ -100,6 +100,7 @@ class Greedy {
   }
   std::vector<Entry> EntriesOf(const std::vector<int>& links) const {
     std::vector<Entry> entries;
+    entries.reserve(links.size());
     for (const int link : links) entries.push_back({worth_.Worth(link), link});
     return entries;
   }
