@@ -33,6 +33,20 @@ class FrontFactorization {
   int FactorAll(const std::vector<Front<B>*>& fronts, const std::vector<int>& parents,
                 const std::vector<Front<B>>& pending, const BlockSystem<B>& system, const FrontTree<B>& tree,
                 const std::vector<double>& damping, double& flops);
+  // Makes a front that Factor can take out of one of the tree, in the same order. place(child): where a child is in
+  // `pending`, or -1 if the tree's stays.
+  template <class Place>
+  void CopyShape(int id, const Place& place, FrontTree<B>& tree, Front<B>& front) {
+    const Front<B>& now = tree[id];
+    front.pivots = now.pivots;
+    front.separators = now.separators;
+    front.slots = now.slots;
+    front.children.clear();
+    for (const int child : now.children) {
+      if (place(child) < 0) WorkInCorrections(tree[child]);
+      front.children.push_back(place(child) < 0 ? child : -1 - place(child));
+    }
+  }
   // Works what rank-k updates left into the update matrix.
   void WorkInCorrections(Front<B>& front);
   // Sums up what the pivots add to log-determinant and |y|^2; returns the first variable from a column on that nothing

@@ -75,16 +75,9 @@ bool Preparation<B>::IsReady(int front, const FrontTree<B>& tree) const {
 template <int B>
 int Preparation<B>::Factor(int id, const FrontPaths<B>& affected, const BlockSystem<B>& system, FrontTree<B>& tree,
                            FrontFactorization<B>& numbers) {
-  const Front<B>& now = tree[id];
   Front<B>& front = fronts_[At(place_[At(id)])];
-  front.pivots = now.pivots;
-  front.separators = now.separators;
-  front.slots = now.slots;
-  front.children.clear();
-  for (const int child : now.children) {
-    if (affected.Find(child) < 0) numbers.WorkInCorrections(tree[child]);
-    front.children.push_back(affected.Find(child) < 0 ? child : -1 - place_[At(child)]);
-  }
+  const auto place = [&](int child) { return affected.Find(child) < 0 ? -1 : place_[At(child)]; };
+  numbers.CopyShape(id, place, tree, front);
   const std::size_t rows = At(front.Rows()), p = At(front.Columns()), n = rows - p;
   if (front.panel.size() < rows * p) front.panel.resize(rows * p);
   if (front.update.size() < n * n) front.update.resize(n * n);

@@ -19,7 +19,12 @@ class Preparation {
   using Clock = std::chrono::steady_clock;
   using Replaced = std::vector<std::pair<int, LinearFactor<B>>>;  // by slot
 
-  void Forget() { *this = Preparation(); }
+  // All but how fast this machine is.
+  void Forget() {
+    const double seconds_per_flop = seconds_per_flop_;
+    *this = Preparation();
+    seconds_per_flop_ = seconds_per_flop;
+  }
   // These slots are to hold these linear factors, on the same variables, besides those of before. `version`: of the
   // Cholesky factor, as below.
   void Replace(const Replaced& replaced, const BlockSystem<B>& system, std::uint64_t version);

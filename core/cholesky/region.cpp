@@ -235,14 +235,7 @@ int Region<B>::RefactorAsOrdered(UpdateContext<B>& update) {
   for (int k = 0; k < count; ++k) {
     const Front<B>& now = paths[count - 1 - k];
     Front<B>& front = pending[At(k)];
-    front.pivots = now.pivots;
-    front.separators = now.separators;
-    front.slots = now.slots;
-    front.children.reserve(now.children.size());
-    for (const int child : now.children) {
-      if (place(child) < 0) update.numbers.WorkInCorrections(tree[child]);
-      front.children.push_back(place(child) < 0 ? child : -1 - place(child));
-    }
+    update.numbers.CopyShape(paths.IdAt(count - 1 - k), place, tree, front);
     fronts.push_back(&front);
     parents.push_back(now.parent < 0 ? -1 : place(now.parent));
     update.report.variables += static_cast<int>(now.pivots.size());
