@@ -5,7 +5,7 @@ JOBS ?= $(shell nproc)
 PYTHON ?=
 GRAPHS ?= ../shared/data/graphs
 
-packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
+packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libscotch-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
 package_packages = dpkg-dev file gzip
 docs_packages = doxygen libjs-katex
@@ -16,10 +16,10 @@ bench_packages = libbenchmark-dev libceres-dev
 node_packages = $(if $(shell command -v npm),,nodejs npm)
 browser_packages = $(if $(shell command -v chromium || command -v chromium-browser || command -v google-chrome),,chromium)
 test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_packages) $(node_packages) $(browser_packages) \
-  python3-pytest python3-venv mypy man-db bash-completion pkg-config
+  python3-pytest python3-venv valgrind mypy man-db bash-completion pkg-config
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test python with-python docs bench bench-docs micro-bench consistency-docs compact-docs outliers-docs protocol-docs sparsify-docs report-page \
+.PHONY: all demo test python with-python docs bench bench-docs instructions-update micro-bench consistency-docs compact-docs outliers-docs protocol-docs sparsify-docs report-page \
   readme-picture install package asan fuzz tsan soak format format-check tidy deps clean help
 .DEFAULT_GOAL := all
 
@@ -58,6 +58,11 @@ bench: build-bench/build.ninja ## build and run the benchmarks; BENCH_ARGS='--gr
 
 bench-docs: ## run the benchmarks and put their tables into docs/benchmarks.md
 	@$(MAKE) --no-print-directory bench BENCH_ARGS="$(BENCH_ARGS) --update docs/benchmarks.md"
+
+instructions-update: build/build.ninja ## count the instructions of the runs of tests/instructions and expect that from now on
+	@.ci/packages valgrind
+	@cmake --build build -j $(JOBS) --target instruction_runs
+	@tests/instructions/check.py build/bin/instruction_runs --update
 
 micro-bench: build-bench/build.ninja ## build and run the benchmarks of single operations
 	@cmake --build build-bench -j $(JOBS) --target micro_bench

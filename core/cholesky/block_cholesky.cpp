@@ -123,7 +123,8 @@ int BlockCholesky<B>::RefactorRegion(internal::UpdateContext<B>& update) {
   auto& [tree, numbers, region, rank_update, substitution, prepared] = *parts_;
   const bool only_replaces =
       update.undo.added.empty() && update.undo.removed.empty() && update.undo.variables == Variables();
-  if (method_ == Method::kCheapest && only_replaces && !region.HasGrown(tree)) return region.RefactorAsOrdered(update);
+  if (method_ == Method::kCheapest && only_replaces && !region.IsOutOfOrder(tree))
+    return region.RefactorAsOrdered(update);
   const int failed = region.Refactor(update);
   if (failed < 0) rank_update.ForgetDebt();
   return failed;
@@ -214,8 +215,10 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
   UpdateReport report;
   next_version_ = internal::NextVersion();
   typename BlockSystem<B>::Undo undo;
+  const auto watch = parts_->region.Watch();
   const auto take_back = [&] {
     parts_->region.Clear();
+    parts_->region.SetWatch(watch);
     system_.Revert(undo);
     Resize(undo.variables);
     report.added_slots.clear();
@@ -234,6 +237,7 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
     return report;
   }
   parts_->region.Clear();
+  parts_->region.NoteWork(report.flops);
   report.ok = true;
   if (report.fronts == 0 && report.fronts_updated == 0) {
     report.path = CholeskyPath::kNone;
@@ -287,7 +291,7 @@ void BlockCholesky<B>::Serialize(Archive& archive) {
   const size_t n = At(tree.Variables());
   if constexpr (Archive::kReads) {
     if (n > At(std::numeric_limits<int>::max() / B - 1)) archive.Fail("too many variables");
-    for (const std::string& defect : {numbers.FindStateDefect(), region.FindStateDefect(tree.Variables())}) {
+    for (const std::string& defect : {numbers.FindStateDefect(), region.FindStateDefect()}) {
       if (!defect.empty()) archive.Fail(defect);
     }
     version = next_version = internal::NextVersion();

@@ -1,5 +1,8 @@
 #include "terse/core/dense_kernels.h"
 
+#include <cstdlib>
+#include <cstring>
+
 namespace terse::internal {
 
 #define TERSE_DECLARE_KERNELS(set)                                                                                   \
@@ -44,8 +47,15 @@ std::vector<DenseKernels> AvailableKernels() {
 }
 
 const DenseKernels& Kernels() {
-  static const DenseKernels best = AvailableKernels().back();
-  return best;
+  static const DenseKernels chosen = [] {
+    const std::vector<DenseKernels> available = AvailableKernels();
+    const char* const name = std::getenv("TERSE_KERNELS");
+    for (const DenseKernels& kernels : available) {
+      if (name != nullptr && std::strcmp(kernels.name, name) == 0) return kernels;
+    }
+    return available.back();
+  }();
+  return chosen;
 }
 
 }  // namespace terse::internal

@@ -134,18 +134,55 @@ inline void Scale(double* target, double factor, int n) {
   for (; i < n; ++i) target[i] *= factor;
 }
 
-inline double Dot(const double* a, const double* b, int n) {
-  Vector sum[4] = {};
-  int i = 0;
-  for (; i + 4 * kWidth <= n; i += 4 * kWidth) {
-    for (int v = 0; v < 4; ++v) sum[v] += Load(a + i + v * kWidth) * Load(b + i + v * kWidth);
+// The last lanes of a vector, as many as are wanted.
+inline Vector LastLanes(int wanted) {
+  Vector lanes;
+  for (int lane = 0; lane < kWidth; ++lane) lanes[lane] = lane >= kWidth - wanted ? 1 : 0;
+  return lanes;
+}
+
+inline double Sum(Vector v) {
+  double lanes[kWidth];
+  for (int lane = 0; lane < kWidth; ++lane) lanes[lane] = v[lane];
+  for (int half = kWidth / 2; half > 0; half /= 2) {
+    for (int lane = 0; lane < half; ++lane) lanes[lane] += lanes[lane + half];
   }
-  for (; i + kWidth <= n; i += kWidth) sum[0] += Load(a + i) * Load(b + i);
-  sum[0] += sum[1] + (sum[2] + sum[3]);
-  double total = 0;
-  for (int lane = 0; lane < kWidth; ++lane) total += sum[0][lane];
-  for (; i < n; ++i) total += a[i] * b[i];
-  return total;
+  return lanes[0];
+}
+
+// y_c -= column c of A by x, for N columns and so many rows. Several columns at once keep as many streams from memory
+// busy.
+template <int N>
+inline void SubtractDots(const double* a, long ld, const double* x, int rows, double* y) {
+  if (rows < kWidth) {
+    for (int i = 0; i < rows; ++i) {
+      for (int c = 0; c < N; ++c) y[c] -= a[c * ld + i] * x[i];
+    }
+    return;
+  }
+  Vector sum[N] = {};
+  int i = 0;
+  for (; i + kWidth <= rows; i += kWidth) {
+    const Vector value = Load(x + i);
+    for (int c = 0; c < N; ++c) sum[c] += Load(a + c * ld + i) * value;
+  }
+  if (i < rows) {
+    const Vector value = Load(x + rows - kWidth) * LastLanes(rows - i);
+    for (int c = 0; c < N; ++c) sum[c] += Load(a + c * ld + rows - kWidth) * value;
+  }
+  for (int c = 0; c < N; ++c) y[c] -= Sum(sum[c]);
+}
+
+// x of the N pivots before `end`, first less what the pivots after them say, then with one another.
+template <int N>
+inline void SolveColumns(const double* panel, long ld, int pivots, int end, double* x) {
+  const int begin = end - N;
+  SubtractDots<N>(panel + begin * ld + end, ld, x + end, pivots - end, x + begin);
+  for (int c = end - 1; c >= begin; --c) {
+    const double* column = panel + c * ld;
+    for (int k = c + 1; k < end; ++k) x[c] -= column[k] * x[k];
+    x[c] /= column[c];
+  }
 }
 
 // Reflections [1, v] with factor tau, one per column of L, each taking its column and the K columns of W with it.
@@ -541,11 +578,18 @@ void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw,
 
 void BackSubstitute(const double* panel, int rows, int pivots, double* x) {
   const long ld = rows;
-  const int n = rows - 1;
-  for (int j = pivots - 1; j >= 0; --j) {
-    const double* column = panel + j * ld;
-    x[j] = (column[n] - Dot(column + j + 1, x + j + 1, n - j - 1)) / column[j];
-  }
+  for (int j = 0; j < pivots; ++j) x[j] = panel[j * ld + rows - 1];
+  // The separators are known: all columns of theirs before the triangle, which has to wait for itself.
+  const int separators = rows - 1 - pivots;
+  const auto below = [&](int j) { return panel + j * ld + pivots; };
+  int begin = 0;
+  for (; begin + 6 <= pivots; begin += 6) SubtractDots<6>(below(begin), ld, x + pivots, separators, x + begin);
+  for (; begin + 3 <= pivots; begin += 3) SubtractDots<3>(below(begin), ld, x + pivots, separators, x + begin);
+  for (; begin < pivots; ++begin) SubtractDots<1>(below(begin), ld, x + pivots, separators, x + begin);
+  int end = pivots;
+  for (; end >= 6; end -= 6) SolveColumns<6>(panel, ld, pivots, end, x);
+  for (; end >= 3; end -= 3) SolveColumns<3>(panel, ld, pivots, end, x);
+  for (; end > 0; --end) SolveColumns<1>(panel, ld, pivots, end, x);
 }
 
 }  // namespace TERSE_KERNEL_NAMESPACE

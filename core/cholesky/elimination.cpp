@@ -1,11 +1,6 @@
 #include "cholesky/elimination.h"
 
-#include <ccolamd.h>
-
 #include <algorithm>
-#include <cmath>
-#include <new>
-#include <stdexcept>
 #include <utility>
 
 #include "terse/core/at.h"
@@ -15,89 +10,12 @@ namespace {
 
 using std::size_t;
 
-// A variable in more cliques than this is a hub. Minimum degree looks through all cliques of a hub whenever one of its
-// neighbours is eliminated, so hubs are kept out of it and come last.
-constexpr int kHub = 1000;
-
-// Each set of two or more members once, in ascending order.
-Cliques DistinctCliques(const Cliques& cliques) {
-  std::vector<std::vector<int>> sets;
-  for (int c = 0; c < cliques.Count(); ++c) {
-    const auto begin = cliques.members.begin() + cliques.start[static_cast<size_t>(c)];
-    const auto end = cliques.members.begin() + cliques.start[static_cast<size_t>(c) + 1];
-    if (end - begin < 2) continue;
-    sets.emplace_back(begin, end);
-    std::sort(sets.back().begin(), sets.back().end());
-  }
-  std::sort(sets.begin(), sets.end());
-  sets.erase(std::unique(sets.begin(), sets.end()), sets.end());
-  Cliques out;
-  for (const auto& set : sets) {
-    out.members.insert(out.members.end(), set.begin(), set.end());
-    out.Close();
-  }
-  return out;
-}
-
-bool HasHub(int variables, const Cliques& cliques) {
-  std::vector<int> count(static_cast<size_t>(variables), 0);
-  return std::any_of(cliques.members.begin(), cliques.members.end(),
-                     [&](int v) { return ++count[static_cast<size_t>(v)] > kHub; });
-}
-
-// Elimination order, first to last, as variables. Where `withhold_hubs`, they come last.
-std::vector<int> MinimumDegree(int variables, const Cliques& cliques, const std::vector<char>& order_last,
-                               bool withhold_hubs) {
-  const size_t n = static_cast<size_t>(variables);
-  // Columns are variables, rows are cliques that couple something.
-  std::vector<int> column_start(n + 1, 0);
-  int rows = 0;
-  for (int c = 0; c < cliques.Count(); ++c) {
-    const int begin = cliques.start[static_cast<size_t>(c)], end = cliques.start[static_cast<size_t>(c) + 1];
-    if (end - begin < 2) continue;
-    ++rows;
-    for (int k = begin; k < end; ++k) ++column_start[static_cast<size_t>(cliques.members[static_cast<size_t>(k)]) + 1];
-  }
-  for (size_t v = 0; v < n; ++v) column_start[v + 1] += column_start[v];
-  const size_t entries = static_cast<size_t>(column_start[n]);
-  const size_t length = ccolamd_recommended(static_cast<int>(entries), rows, variables);
-  if (length == 0) throw std::length_error("the graph is too large to order");
-  std::vector<int> indices(length);
-  std::vector<int> next(column_start.begin(), column_start.end() - 1);
-  int row = 0;
-  for (int c = 0; c < cliques.Count(); ++c) {
-    const int begin = cliques.start[static_cast<size_t>(c)], end = cliques.start[static_cast<size_t>(c) + 1];
-    if (end - begin < 2) continue;
-    for (int k = begin; k < end; ++k) {
-      int& slot = next[static_cast<size_t>(cliques.members[static_cast<size_t>(k)])];
-      indices[static_cast<size_t>(slot++)] = row;
-    }
-    ++row;
-  }
-  std::vector<int> member(n, 0);
-  for (size_t v = 0; v < n; ++v) member[v] = order_last[v] != 0 ? 1 : 0;
-  // Constraint sets must be numbered without gaps.
-  if (std::find(member.begin(), member.end(), 0) == member.end()) std::fill(member.begin(), member.end(), 0);
-  double knobs[CCOLAMD_KNOBS];
-  ccolamd_set_defaults(knobs);
-  knobs[CCOLAMD_DENSE_ROW] = -1;
-  // CCOLAMD takes its limit as a multiple of this root.
-  knobs[CCOLAMD_DENSE_COL] = withhold_hubs ? kHub / std::sqrt(std::max(1.0, 1.0 * std::min(rows, variables))) : -1;
-  int stats[CCOLAMD_STATS];
-  if (ccolamd(rows, variables, static_cast<int>(length), indices.data(), column_start.data(), knobs, stats,
-              member.data()) == 0) {
-    throw std::logic_error("ordering failed");
-  }
-  column_start.pop_back();
-  return column_start;
-}
-
-std::vector<int> Order(int variables, const Cliques& cliques, const std::vector<char>& order_last) {
-  if (!HasHub(variables, cliques)) return MinimumDegree(variables, cliques, order_last, false);
-  // Many parallel edges make no hub: to an order they are one.
-  const Cliques distinct = DistinctCliques(cliques);
-  return MinimumDegree(variables, distinct, order_last, HasHub(variables, distinct));
-}
+// Nested dissection takes some microseconds per variable. It is tried from so many variables on, where minimum degree
+// leaves so many flops (of blocks) for each.
+constexpr int kLeastDissected = 60;
+constexpr double kWorthDissecting = 250;
+// In an incremental run an update of one path counts as this part of a factorisation of everything.
+constexpr double kUpdatesPerFactorisation = 1000;
 
 struct WorkFront {
   std::vector<int> pivots, separators;  // positions in the elimination order
@@ -230,10 +148,42 @@ std::vector<SymbolicFront> Elimination::Fronts() const {
 
 }  // namespace
 
-std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last) {
-  Elimination elimination(cliques, Order(variables, cliques, order_last));
-  elimination.Run();
-  return elimination.Fronts();
+double FactorCost::Add(double pivots, double separators, double above) {
+  const double rows = pivots + separators;
+  flops += (rows * rows * rows - separators * separators * separators) / 3;
+  const double entries = pivots * (pivots + 1) / 2 + pivots * separators;
+  paths += pivots * (above + entries);
+  return above + entries;
+}
+
+FactorCost CostOf(const std::vector<SymbolicFront>& fronts) {
+  FactorCost cost;
+  std::vector<double> path(fronts.size());
+  for (size_t k = fronts.size(); k-- > 0;) {
+    const SymbolicFront& front = fronts[k];
+    path[k] = cost.Add(static_cast<double>(front.pivots.size()), static_cast<double>(front.separators.size()),
+                       front.parent >= 0 ? path[At(front.parent)] : 0.0);
+  }
+  return cost;
+}
+
+std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last,
+                                     OrderFor purpose) {
+  const auto in_order = [&](std::vector<int> order) {
+    Elimination elimination(cliques, std::move(order));
+    elimination.Run();
+    return elimination.Fronts();
+  };
+  std::vector<SymbolicFront> fronts = in_order(MinimumDegreeOrder(variables, cliques, order_last));
+  const FactorCost cost = CostOf(fronts);
+  if (variables < kLeastDissected || cost.flops < kWorthDissecting * variables) return fronts;
+  std::vector<int> order = NestedDissectionOrder(variables, cliques, order_last);
+  if (order.empty()) return fronts;
+  std::vector<SymbolicFront> dissected = in_order(std::move(order));
+  const auto total = [&](const FactorCost& c) {
+    return c.flops + (purpose == OrderFor::kUpdates ? kUpdatesPerFactorisation * c.paths / variables : 0.0);
+  };
+  return total(CostOf(dissected)) < total(cost) ? dissected : fronts;
 }
 
 }  // namespace terse::internal

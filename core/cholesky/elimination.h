@@ -1,21 +1,15 @@
 #pragma once
 // Symbolic elimination: from cliques of variables to a tree of fronts.
 //
-// Cliques are what couples variables: a factor's poses, or the separator of a subtree that is kept. The order is
-// constrained minimum degree (CCOLAMD), marked variables last. A front eliminates its pivots at once; its separators
-// are the later variables that this couples. Small fronts are merged into their parent where that adds few zeros.
+// Cliques are what couples variables: a factor's poses, or the separator of a subtree that is kept. A front eliminates
+// its pivots at once; its separators are the later variables that this couples. Small fronts are merged into their
+// parent where that adds few zeros.
 
 #include <vector>
 
-namespace terse::internal {
+#include "cholesky/ordering.h"
 
-// Lists of variables 0..n-1, flat.
-struct Cliques {
-  std::vector<int> start{0};
-  std::vector<int> members;
-  int Count() const { return static_cast<int>(start.size()) - 1; }
-  void Close() { start.push_back(static_cast<int>(members.size())); }
-};
+namespace terse::internal {
 
 struct SymbolicFront {
   std::vector<int> pivots;      // in elimination order
@@ -24,7 +18,21 @@ struct SymbolicFront {
   std::vector<int> cliques;  // those whose earliest variable is a pivot here
 };
 
+// What a tree of fronts costs, in blocks.
+struct FactorCost {
+  double flops = 0;  // of factoring everything
+  double paths = 0;  // entries of L on the way from a variable to its root, summed over the variables
+  // Adds a front below one whose way to the root has `above` entries; returns what its own has.
+  double Add(double pivots, double separators, double above);
+};
+FactorCost CostOf(const std::vector<SymbolicFront>& fronts);
+
+// Minimum degree, or nested dissection where that costs less: for factoring and solving, or for updates along paths
+// too.
+enum class OrderFor { kSolving, kUpdates };
+
 // Fronts with children before parents; every clique is a subset of its front's pivots and separators.
-std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last);
+std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last,
+                                     OrderFor purpose);
 
 }  // namespace terse::internal

@@ -12,11 +12,26 @@ namespace {
 
 using std::size_t;
 
-// So many times the entries of a fresh ordering are too many, in a graph of so many variables.
+// Paths so many times as long as those of a fresh order are too long, in a graph of so many variables.
 constexpr double kDrift = 1.5;
 constexpr int kLeastDrifting = 100;
+// The work between two looks, in factorisations of everything, each with flops for the order of a variable.
+constexpr double kLook = 16;
+constexpr double kOrderFlops = 2e4;
 // So many times the flops of when the fronts were ordered are too many.
 constexpr double kGrown = 1.25;
+
+template <int B>
+FactorCost CostOf(const FrontTree<B>& tree) {
+  FactorCost cost;
+  std::vector<double> path(At(tree.Size()));
+  for (const int f : tree.TopDown()) {
+    const Front<B>& front = tree[f];
+    path[At(f)] = cost.Add(static_cast<double>(front.pivots.size()), static_cast<double>(front.separators.size()),
+                           front.parent >= 0 ? path[At(front.parent)] : 0.0);
+  }
+  return cost;
+}
 
 }  // namespace
 
@@ -53,20 +68,15 @@ void Region<B>::TakeAll(const FrontTree<B>& tree) {
 
 template <int B>
 bool Region<B>::TakeAllIfDrifted(const UpdateContext<B>& update) {
-  const int variables = update.undo.variables;
-  if (variables < kLeastDrifting || variables < 2 * drift_looked_at_) return false;
-  drift_looked_at_ = variables;
+  if (update.undo.variables < kLeastDrifting || watch_.work < watch_.next_look) return false;
+  ScopedTimer timer(update.report.seconds_order);
+  const FactorCost now = CostOf(update.tree);
+  watch_ = {0, kLook * (B * B * B * now.flops + kOrderFlops * update.tree.Variables())};
   TakeAll(update.tree);
-  const Couplings couplings = Collect(update, false);
-  double fresh = 0;
-  for (const auto& front : Eliminate(static_cast<int>(variables_.size()), couplings.cliques, couplings.order_last)) {
-    const double p = B * static_cast<double>(front.pivots.size()), s = B * static_cast<double>(front.separators.size());
-    fresh += p * (p + 1) / 2 + p * s;
-  }
+  ordered_ = Order(update);
+  if (now.paths > kDrift * CostOf(ordered_->fronts).paths) return true;
   Clear();
-  if (!(static_cast<double>(update.tree.Nonzeros()) > kDrift * fresh)) return false;
-  TakeAll(update.tree);
-  return true;
+  return false;
 }
 
 template <int B>
@@ -75,6 +85,7 @@ void Region<B>::Clear() noexcept {
   for (const int v : variables_) local_[At(v)] = -1;
   fronts_.clear();
   variables_.clear();
+  ordered_.reset();
 }
 
 // Calls visit(slot) for the linear factors between the region's variables, by first variable and slot. One that reaches
@@ -82,13 +93,13 @@ void Region<B>::Clear() noexcept {
 // wanted come out of the fronts.
 template <int B>
 template <class Visit>
-void Region<B>::ForEachSlot(const UpdateContext<B>& update, bool with_added, const Visit& visit) const {
+void Region<B>::ForEachSlot(const UpdateContext<B>& update, const Visit& visit) const {
   const BlockSystem<B>& system = update.system;
   const std::vector<int>& added = update.undo.added;
   size_t on_variables = 0, in_fronts = 0;
   for (const int v : variables_) on_variables += system.SlotsOf(v).size();
   for (const int f : fronts_) in_fronts += update.tree[f].slots.size();
-  if (!with_added || on_variables <= BlockSystem<B>::kHub || on_variables <= 4 * (in_fronts + added.size())) {
+  if (on_variables <= BlockSystem<B>::kHub || on_variables <= 4 * (in_fronts + added.size())) {
     for (const int v : variables_) {
       for (const int slot : system.SlotsOf(v)) {
         const LinearFactor<B>& f = system.LinearFactorAt(slot);
@@ -108,9 +119,9 @@ void Region<B>::ForEachSlot(const UpdateContext<B>& update, bool with_added, con
   for (const auto& entry : wanted) visit(entry.second);
 }
 
-// Of what was taken and the new variables, which it lists. with_added: the added slots may be in no front yet.
+// Of what was taken and the new variables, which it lists.
 template <int B>
-typename Region<B>::Couplings Region<B>::Collect(const UpdateContext<B>& update, bool with_added) {
+typename Region<B>::Couplings Region<B>::Collect(const UpdateContext<B>& update) {
   local_.resize(At(update.system.Variables()), -1);
   const auto take = [&](int v) {
     variables_.push_back(v);
@@ -126,7 +137,7 @@ typename Region<B>::Couplings Region<B>::Collect(const UpdateContext<B>& update,
     out.slot.push_back(slot);
     out.orphan.push_back(orphan);
   };
-  ForEachSlot(update, with_added, [&](int slot) {
+  ForEachSlot(update, [&](int slot) {
     const LinearFactor<B>& f = update.system.LinearFactorAt(slot);
     out.cliques.members.push_back(local_[At(f.first)]);
     if (f.second >= 0) out.cliques.members.push_back(local_[At(f.second)]);
@@ -156,10 +167,19 @@ void Region<B>::OrderNewestLast(const UpdateContext<B>& update, Couplings& coupl
   last(update.system.Variables() - 1);
 }
 
+template <int B>
+typename Region<B>::Couplings Region<B>::Order(const UpdateContext<B>& update) {
+  Couplings out = Collect(update);
+  OrderNewestLast(update, out);
+  out.fronts = Eliminate(static_cast<int>(variables_.size()), out.cliques, out.order_last,
+                         fronts_.empty() ? OrderFor::kSolving : OrderFor::kUpdates);
+  return out;
+}
+
 // As FrontTree::Replace takes them.
 template <int B>
 std::vector<Front<B>> Region<B>::MakeFronts(const Couplings& couplings) const {
-  const auto symbolic = Eliminate(static_cast<int>(variables_.size()), couplings.cliques, couplings.order_last);
+  const std::vector<SymbolicFront>& symbolic = couplings.fronts;
   std::vector<Front<B>> pending(symbolic.size());
   for (size_t k = 0; k < symbolic.size(); ++k) {
     Front<B>& front = pending[k];
@@ -186,10 +206,9 @@ int Region<B>::Refactor(UpdateContext<B>& update) {
   std::vector<int> orphans;
   {
     ScopedTimer timer(update.report.seconds_order);
-    Couplings couplings = Collect(update, true);
-    OrderNewestLast(update, couplings);
-    pending = MakeFronts(couplings);
-    orphans = std::move(couplings.orphan);
+    if (!ordered_) ordered_ = Order(update);
+    pending = MakeFronts(*ordered_);
+    orphans = std::move(ordered_->orphan);
   }
   for (const int child : orphans) {
     if (child >= 0) update.numbers.WorkInCorrections(update.tree[child]);
@@ -211,7 +230,8 @@ int Region<B>::Refactor(UpdateContext<B>& update) {
 }
 
 template <int B>
-bool Region<B>::HasGrown(const FrontTree<B>& tree) const {
+bool Region<B>::IsOutOfOrder(const FrontTree<B>& tree) const {
+  if (ordered_) return true;
   double now = 0, ordered = 0;
   for (const int f : fronts_) {
     now += tree[f].RefactorFlops();
@@ -259,13 +279,13 @@ int Region<B>::RefactorAsOrdered(UpdateContext<B>& update) {
 template <int B>
 template <class Archive>
 void Region<B>::Serialize(Archive& archive) {
-  auto& [fronts, variables, is_taken, local, drift_looked_at] = *this;
-  archive(drift_looked_at);
+  auto& [fronts, variables, is_taken, local, ordered, watch] = *this;
+  archive(watch.work, watch.next_look);
 }
 
 template <int B>
-std::string Region<B>::FindStateDefect(int variables) const {
-  return drift_looked_at_ < 0 || drift_looked_at_ > variables ? "the factor was larger once" : "";
+std::string Region<B>::FindStateDefect() const {
+  return watch_.work >= 0 && watch_.next_look >= 0 ? "" : "the factor took less than no work";
 }
 
 #define TERSE_INSTANTIATE(B)                        \

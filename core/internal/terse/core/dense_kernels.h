@@ -48,7 +48,7 @@ inline constexpr int kLanes = 4;
 // Columns to make room for.
 constexpr int Stride(int columns) { return (columns + kLanes - 1) / kLanes * kLanes; }
 
-// The best for this processor.
+// The best for this processor, or those that the environment names, if it has them: TERSE_KERNELS=baseline.
 const DenseKernels& Kernels();
 // All that this processor runs, for tests.
 std::vector<DenseKernels> AvailableKernels();
