@@ -95,6 +95,25 @@ std::string IncrementalTable(const nlohmann::json& graphs) {
   return table.Text();
 }
 
+// What the phases reach of what the machine can do. Factoring counts flops; substitution reads every entry of L that it
+// visits once, two flops for 8 bytes.
+std::string RoofTable(const nlohmann::json& graphs, const nlohmann::json& roof) {
+  const double peak = roof["gflops_per_second"], bandwidth = roof["gbytes_per_second"];
+  Table table({"graph", "factoring GFLOP", "GFLOP/s", "of the product's", "substitution GFLOP", "GB read", "GB/s",
+               "of memory's"});
+  for (const auto& g : graphs) {
+    if (!g.contains("incremental")) continue;
+    const auto& i = g["incremental"];
+    const double solve = 1e-9 * i["solve_flops"].get<double>(), read = 4 * solve;
+    const double speed = i["gflops_per_second"], rate = read / i["phases"]["solve"].get<double>();
+    table.Add({g["name"], Short(1e-9 * i["factor_flops"].get<double>()), Short(speed),
+               Format("%.0f %%", 100 * speed / peak), Short(solve), Short(read), Short(rate),
+               Format("%.0f %%", 100 * rate / bandwidth)});
+  }
+  return "Roof of one core (" + roof["kernels"].get<std::string>() + "): the dense product in cache " + Short(peak) +
+         " GFLOP/s, memory " + Short(bandwidth) + " GB/s.\n\n" + table.Text();
+}
+
 std::string BatchTable(const nlohmann::json& graphs) {
   Table table({"graph", "start", "chi2", "terse ms", "iterations", "order, linearise, factor, solve ms", "Ceres ms",
                "iterations", "ratio"});
@@ -226,6 +245,7 @@ std::string Tables(const nlohmann::json& results) {
   const auto& graphs = results["graphs"];
   std::string out;
   if (Any(graphs, "incremental")) out += "\nIncremental:\n\n" + IncrementalTable(graphs);
+  if (results.contains("roof")) out += "\n" + RoofTable(graphs, results["roof"]);
   if (Any(graphs, "batch")) out += "\nBatch:\n\n" + BatchTable(graphs);
   if (results.contains("growth")) out += "\nGrowth:\n\n" + GrowthTable(results["growth"]);
   return out.empty() ? out : MachineLine(results["machine"]) + out;
@@ -239,6 +259,27 @@ std::string CovarianceTables(const nlohmann::json& results) {
   if (Any(graphs, "covariance-batch")) out += "\nAll at the optimum:\n\n" + OptimumTable(graphs);
   if (results.contains("covariance-joint")) out += "\nJoint:\n\n" + JointTable(results["covariance-joint"]);
   return out.empty() ? out : MachineLine(results["machine"]) + out;
+}
+
+std::string HistoryLine(const nlohmann::json& results) {
+  if (!Any(results["graphs"], "incremental")) return "";
+  const auto& m = results["machine"];
+  std::string line = "| " + m["date"].get<std::string>() + " | " + m["commit"].get<std::string>() + " | " +
+                     m["processor"].get<std::string>();
+  if (results.contains("roof")) {
+    line += " | " + Short(results["roof"]["gflops_per_second"]) + " | " + Short(results["roof"]["gbytes_per_second"]);
+  } else {
+    line += " | - | -";
+  }
+  for (const char* name : {"parking-garage", "sphere2500", "torus3D", "kitti00_all_loops", "intel", "manhattan",
+                           "city10000", "w10000_hogman"}) {
+    std::string seconds = "-";
+    for (const auto& g : results["graphs"]) {
+      if (g["name"] == name && g.contains("incremental")) seconds = Short(g["incremental"]["total_seconds"]);
+    }
+    line += " | " + seconds;
+  }
+  return line + " |\n";
 }
 
 }  // namespace terse::bench

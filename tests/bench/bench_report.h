@@ -18,5 +18,7 @@ nlohmann::json Machine();
 // Markdown; empty without results.
 std::string Tables(const nlohmann::json& results);
 std::string CovarianceTables(const nlohmann::json& results);
+// A row of the table of all runs: seconds of the incremental runs, graph by graph; empty where there was none.
+std::string HistoryLine(const nlohmann::json& results);
 
 }  // namespace terse::bench

@@ -16,6 +16,9 @@ namespace terse::bench {
 template <class Pose>
 nlohmann::json RunIncremental(const PoseGraph<Pose>& graph, int interval);
 
+// What one core of this machine can do: the dense product's GFLOP/s on operands in cache, GB/s read from memory.
+nlohmann::json MeasureRoof();
+
 // Time from the same start until chi2 is within 1e-6 of the optimum, ours and that of Ceres: the best of `repeats`.
 template <class Pose>
 nlohmann::json RunBatch(const PoseGraph<Pose>& graph, InitialValues start, int repeats);

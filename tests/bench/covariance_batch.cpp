@@ -22,7 +22,7 @@ nlohmann::json RunCovarianceBatch(const PoseGraph<Pose>& graph, InitialValues st
     return std::chrono::duration<double>(Clock::now() - begin).count();
   };
   auto optimum = SolveBatch(graph, ComputeInitialValues(graph, start));
-  const Marginals<Pose> marginals(graph, optimum.T_world_body, optimum.factor);
+  const Marginals<Pose> marginals(graph, optimum.T_world_body, optimum.cholesky);
   std::vector<typename Pose::Jacobian> blocks = marginals.AllMarginals();
   double factor_seconds = std::numeric_limits<double>::infinity(), blocks_seconds = factor_seconds;
   for (int k = 0; k < kRepeats; ++k) {

@@ -77,6 +77,7 @@ nlohmann::json Measure(const BenchGraph& source, const Options& options) {
 
 nlohmann::json MeasureAll(const Options& options) {
   nlohmann::json results = {{"machine", Machine()}, {"graphs", nlohmann::json::array()}};
+  if (options.Wants("incremental")) results["roof"] = MeasureRoof();
   for (const BenchGraph& source : BenchGraphs()) {
     if (!options.WantsGraph(source.name)) continue;
     std::fprintf(stderr, "%s ...\n", source.name.c_str());
@@ -141,6 +142,8 @@ int Main(int argc, char** argv) {
   if (options.update.empty()) return 0;
   if (!tables.empty()) UpdateDocument(options.update, tables, "bench");
   if (!covariances.empty()) UpdateDocument(options.update, covariances, "covariances");
+  const std::string line = HistoryLine(results);
+  if (!line.empty()) AppendToDocument(options.update, line, "history");
   return 0;
 }
 

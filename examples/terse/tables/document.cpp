@@ -8,7 +8,7 @@ namespace terse {
 namespace {
 
 struct Document {
-  std::string before, after;  // with the marks
+  std::string before, between, after;  // with the marks
 };
 
 Document ReadDocument(const std::string& path, const std::string& mark) {
@@ -18,7 +18,14 @@ Document ReadDocument(const std::string& path, const std::string& mark) {
   if (begin == std::string::npos || end == std::string::npos || end < begin) {
     throw FileError(path, 0, "has no place <!-- " + mark + " --> to fill");
   }
-  return {text.substr(0, begin + open.size()), text.substr(end)};
+  const std::size_t inside = begin + open.size();
+  return {text.substr(0, inside), text.substr(inside, end - inside), text.substr(end)};
+}
+
+void Write(const std::string& path, const std::string& text) {
+  AtomicFile file(path);
+  file.Stream() << text;
+  file.Commit();
 }
 
 }  // namespace
@@ -27,9 +34,12 @@ void RequirePlace(const std::string& path, const std::string& mark) { ReadDocume
 
 void UpdateDocument(const std::string& path, const std::string& text, const std::string& mark) {
   const Document document = ReadDocument(path, mark);
-  AtomicFile file(path);
-  file.Stream() << document.before << '\n' << text << '\n' << document.after;
-  file.Commit();
+  Write(path, document.before + '\n' + text + '\n' + document.after);
+}
+
+void AppendToDocument(const std::string& path, const std::string& lines, const std::string& mark) {
+  const Document document = ReadDocument(path, mark);
+  Write(path, document.before + document.between + lines + document.after);
 }
 
 }  // namespace terse

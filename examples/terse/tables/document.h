@@ -10,5 +10,7 @@ namespace terse {
 // RequirePlace: that alone, before a long run.
 void RequirePlace(const std::string& path, const std::string& mark);
 void UpdateDocument(const std::string& path, const std::string& text, const std::string& mark);
+// Adds lines at the end of that place.
+void AppendToDocument(const std::string& path, const std::string& lines, const std::string& mark);
 
 }  // namespace terse
