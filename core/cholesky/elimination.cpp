@@ -11,9 +11,9 @@ namespace {
 using std::size_t;
 
 // Nested dissection takes some microseconds per variable. It is tried from so many variables on, where minimum degree
-// leaves so many flops (of blocks) for each.
+// leaves so many flops (of blocks) for each: more where only a few factorisations profit from it.
 constexpr int kLeastDissected = 60;
-constexpr double kWorthDissecting = 250;
+constexpr double WorthDissecting(OrderFor purpose) { return purpose == OrderFor::kUpdates ? 250 : 1000; }
 // In an incremental run an update of one path counts as this part of a factorisation of everything.
 constexpr double kUpdatesPerFactorisation = 1000;
 
@@ -176,7 +176,7 @@ std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, cons
   };
   std::vector<SymbolicFront> fronts = in_order(MinimumDegreeOrder(variables, cliques, order_last));
   const FactorCost cost = CostOf(fronts);
-  if (variables < kLeastDissected || cost.flops < kWorthDissecting * variables) return fronts;
+  if (variables < kLeastDissected || cost.flops < WorthDissecting(purpose) * variables) return fronts;
   std::vector<int> order = NestedDissectionOrder(variables, cliques, order_last);
   if (order.empty()) return fronts;
   std::vector<SymbolicFront> dissected = in_order(std::move(order));

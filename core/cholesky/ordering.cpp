@@ -213,6 +213,7 @@ std::vector<int> NestedDissectionOrder(int variables, const Cliques& cliques, co
   std::vector<SCOTCH_Num> order(At(n));
   Graph::Check(SCOTCH_graphOrder(bound.Get(), strategy.Get(), nullptr, order.data(), nullptr, nullptr, nullptr));
   std::vector<int> out;
+  out.reserve(At(variables));
   for (const SCOTCH_Num k : order) out.push_back(variable_of[At(static_cast<int>(k))]);
   out.insert(out.end(), last.begin(), last.end());
   return out;
