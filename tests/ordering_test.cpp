@@ -81,7 +81,7 @@ TEST(Ordering, EachVariableOnceMarkedOnesLast) {
 TEST(Ordering, FrontsHoldWhatEliminationCouples) {
   Random rng(2);
   for (int trial = 0; trial < 30; ++trial) {
-    const int side = 8 + static_cast<int>(rng() % 8), n = side * side;
+    const int side = 8 + static_cast<int>(rng() % 25), n = side * side;  // small ones are not dissected
     Cliques cliques = Grid(side);
     for (int k = 0; k < 20; ++k)
       Add(cliques, {static_cast<int>(rng() % At(n / 2)), n - 1 - static_cast<int>(rng() % At(n / 2))});
@@ -97,7 +97,7 @@ TEST(Ordering, FrontsHoldWhatEliminationCouples) {
     }
     for (const SymbolicFront& front : fronts) {
       std::set<int> rows(front.separators.begin(), front.separators.end());
-      for (auto it = front.pivots.rbegin(); it != front.pivots.rend(); ++it) rows.insert(*it);
+      rows.insert(front.pivots.begin(), front.pivots.end());
       for (const int v : front.pivots) {
         neighbours[At(v)].erase(v);
         for (const int a : neighbours[At(v)]) {
@@ -110,14 +110,15 @@ TEST(Ordering, FrontsHoldWhatEliminationCouples) {
   }
 }
 
-// The separators of a square are its middle lines: the way from a variable to the root has O(n) entries.
+// The separators of a square are its middle lines: the way from a variable to the root has O(n) entries. With minimum
+// degree alone it has 4.0 n and 4.3 n here.
 TEST(Ordering, NestedDissectionShortensPaths) {
-  for (const int side : {40, 80}) {
+  for (const int side : {40, 120}) {
     const int n = side * side;
     const Cliques cliques = Grid(side);
     const std::vector<char> none(At(n), 0);
     const FactorCost dissected = CostOf(Eliminate(n, cliques, none, OrderFor::kUpdates));
-    EXPECT_LT(dissected.paths, 6.0 * n * n) << side;
+    EXPECT_LT(dissected.paths, 3.7 * n * n) << side;
     const FactorCost for_solving = CostOf(Eliminate(n, cliques, none, OrderFor::kSolving));
     EXPECT_LE(for_solving.flops, dissected.flops) << side;
   }
