@@ -31,6 +31,8 @@ Band BandOf(const StatedInformation& stated) {
 constexpr double kAgreeing = 0.3;
 // With fewer there are wrong loops, and residuals say nothing that this share does not.
 constexpr double kAllAgree = 0.9;
+// The sample over this will do where the verdict does not depend on it.
+constexpr int kForReport = 4;
 
 bool IsTooCertain(const Band& band, const ScaleEstimate& found) {
   return found.determined && found.sigma_factor > band.larger * std::exp(2 * found.log_error);
@@ -123,16 +125,23 @@ template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   InformationCalibration out;
   out.stated = DescribeInformation(graph);
+  bool agrees = false;
   if (!out.stated.IsPlaceholder()) {
     const double share = internal::ShareOfAgreeingLoops(graph, options);
-    if (share >= kAgreeing && share < kAllAgree) {
+    agrees = share >= kAgreeing;
+    if (agrees && share < kAllAgree) {
       out.estimate.agreeing_loops = share;
       out.verdict = InformationVerdict::kConsistent;
       out.message = OthersAreWrong(share);
       return out;
     }
   }
-  out.estimate = EstimateTrimmed(graph, options);
+  EstimateOptions sample = options;
+  if (agrees && BandOf(out.stated).smaller == 0) {
+    sample.sample_poses /= kForReport;
+    sample.sample_loops /= kForReport;
+  }
+  out.estimate = EstimateTrimmed(graph, sample);
   const InformationEstimate& found = out.estimate;
   if (!found.failure.empty()) {
     out.message = "the residuals cannot tell whether the information is right (" + found.failure + ")";

@@ -30,6 +30,8 @@ constexpr double kCut = 4;            // expected squares, beyond which a residu
 constexpr double kStandsOut = 9;      // times the other loops' squares: loses weight
 constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of the robust kernel
 constexpr int kStepsTogether = 2;
+// Scales that moved by less keep the loops that are in as a start; logarithm.
+constexpr double kMovesLittle = 0.3;
 // Standard deviations that are stated too small by less than this leave most loops within the width above.
 constexpr double kFarLarger = 3;
 constexpr double kLeastRedundancy = 5;
@@ -259,6 +261,12 @@ class Estimator {
 
   static double Ratio(double floor, double stated) { return stated > 0 ? floor / stated : 0; }
 
+  double LargestStep() const {
+    double largest = 0;
+    for (const Found& f : found_) largest = std::max(largest, std::abs(f.step));
+    return largest;
+  }
+
   // Residuals far larger than stated come of bad information, or of so many wrong loops that they bend all residuals
   // and none stands out. If truncated least squares keeps most loops at the information as stated, it is the others
   // that are wrong: loops do not agree by chance.
@@ -291,10 +299,8 @@ class Estimator {
       out_.iterations = k + 1;
       if (!Step(is_robust, k == 0, values)) return;
       if (begins_suspicious && 2 * out_.loops_left_out >= out_.loop_edges) return;
-      double largest = 0;
-      for (const Found& f : found_) largest = std::max(largest, std::abs(f.step));
       const bool is_settled = !is_suspicious_ || steps_suspicious_ > kStepsTogether;
-      if (largest < options_.tolerance && is_settled) break;
+      if (LargestStep() < options_.tolerance && is_settled) break;
     }
   }
 
@@ -316,6 +322,7 @@ class Estimator {
     solve.max_iterations = is_first ? (is_suspicious_ ? 200 : 50) : 10;
     solve.relative_tolerance = 1e-4;
     if (is_suspicious_) {  // the kernel decides anew, by graduation: a replay trusts the information
+      solve.graduate = steps_suspicious_ == 0 || LargestStep() > kMovesLittle;
       solve.robust_factors = LoopFactors(weighted);
       solve.robust.kernel = RobustKernel::kGnc;
       solve.robust.width = std::sqrt(ChiSquareQuantile(kTrueLoop, Pose::kDof));
