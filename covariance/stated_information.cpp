@@ -104,6 +104,13 @@ StatedInformation DescribeInformation(const PoseGraph<Pose>& graph) {
 }
 
 template <class Pose>
+RelativePoseFactor<Pose> ScaleInformation(const RelativePoseFactor<Pose>& factor, const KindScale& scale) {
+  RelativePoseFactor<Pose> out = factor;
+  out.information = internal::Scaled<Pose>(factor.information, scale);
+  return out;
+}
+
+template <class Pose>
 PoseGraph<Pose> ScaleInformation(const PoseGraph<Pose>& graph, const InformationScale& scale) {
   const internal::EdgeKinds kinds(graph);
   PoseGraph<Pose> out;
@@ -114,8 +121,7 @@ PoseGraph<Pose> ScaleInformation(const PoseGraph<Pose>& graph, const Information
   for (const auto& node : graph.Factors()) {
     Factor<Pose> factor = node.factor;
     if (auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
-      const KindScale& kind = kinds.IsLoop(f->from, f->to) ? scale.loops : scale.odometry;
-      f->information = internal::Scaled<Pose>(f->information, kind);
+      *f = ScaleInformation(*f, kinds.IsLoop(f->from, f->to) ? scale.loops : scale.odometry);
     }
     out.AddFactor(factor);
   }
@@ -123,6 +129,7 @@ PoseGraph<Pose> ScaleInformation(const PoseGraph<Pose>& graph, const Information
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                 \
+  template RelativePoseFactor<Pose> ScaleInformation(const RelativePoseFactor<Pose>&, const KindScale&); \
   template StatedInformation DescribeInformation<Pose>(const PoseGraph<Pose>&); \
   template PoseGraph<Pose> ScaleInformation<Pose>(const PoseGraph<Pose>&, const InformationScale&);
 TERSE_INSTANTIATE(SE2)

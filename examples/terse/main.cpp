@@ -65,6 +65,7 @@ int Run(int argc, char** argv) {
   terse::AddSolveCommand(app);
   terse::AddCompactCommand(app);
   terse::AddSparsifyCommand(app);
+  terse::AddMergeCommand(app);
   terse::AddOnlineCommand(app);
   terse::AddKittiCommand(app);
   terse::AddCovarianceCommand(app);

@@ -29,6 +29,7 @@ void AddGenerateStereo(CLI::App& generate);  // a subcommand of generate
 void AddSolveCommand(CLI::App& app);
 void AddCompactCommand(CLI::App& app);
 void AddSparsifyCommand(CLI::App& app);
+void AddMergeCommand(CLI::App& app);
 void AddOnlineCommand(CLI::App& app);
 void AddCovarianceCommand(CLI::App& app);
 void AddTableCommand(CLI::App& app);

@@ -12,12 +12,14 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/generate.h"
+#include "terse/core/generate_robots.h"
 #include "terse/core/number_text.h"
 #include "terse/core/outliers.h"
 #include "terse/core/require_optimum.h"
 #include "terse/core/slips.h"
 #include "terse/core/stamped_trajectory.h"
 #include "terse/core/trajectory.h"
+#include "terse/core/writable.h"
 
 namespace terse {
 namespace {
@@ -25,6 +27,7 @@ namespace {
 struct GenerateCommandOptions {
   std::string scene, from, output, ground_truth, outliers_list, slips_list;
   GenerateOptions generate;
+  int robots = 1;
   ReadOptions read;
   bool quiet = false;
 };
@@ -155,6 +158,41 @@ void GenerateScene(const GenerateCommandOptions& options) {
   slips.Commit();
 }
 
+// robot_1.g2o, ... in their own frames, robot_1.tum, ... in one world, links.txt between them.
+void GenerateTeam(const GenerateCommandOptions& options) {
+  RobotsOptions team;
+  team.robots = options.robots;
+  if (options.generate.poses != 0) team.poses = options.generate.poses;
+  team.seed = options.generate.seed;
+  team.wrong_link_percent = options.generate.wrong_loop_percent;
+  team.wrong_link_kind = options.generate.wrong_loop_kind;
+  const RobotsData data = GenerateRobots(team);
+  RequireFolder(options.output, "links.txt");
+  for (std::size_t r = 0; r < data.graphs.size(); ++r) {
+    const std::string stem = options.output + "/robot_" + std::to_string(r + 1);
+    WriteG2o(data.graphs[r], stem + ".g2o");
+    std::vector<PoseId> ids;
+    for (const auto& node : data.graphs[r].Poses()) ids.push_back(node.id);
+    WriteTum(MakeTrajectory(ids, data.T_world_body_true[r]), stem + ".tum");
+  }
+  AtomicFile links(options.output + "/links.txt");
+  std::optional<AtomicFile> wrong;
+  if (!options.outliers_list.empty()) wrong.emplace(options.outliers_list).Stream() << "from_map,from,to_map,to\n";
+  for (const RobotLink& link : data.links) {
+    const auto end = [](int robot, PoseId id) { return std::to_string(robot + 1) + ':' + std::to_string(id.value); };
+    std::string line = "EDGE_SE2 " + end(link.from_robot, link.measured.from) + ' ' + end(link.to_robot, link.measured.to);
+    AppendPose(line, link.measured.T_from_to);
+    AppendUpperTriangle<3>(line, link.measured.information);
+    links.Stream() << line << '\n';
+    if (wrong && link.is_wrong) {
+      wrong->Stream() << link.from_robot + 1 << ',' << link.measured.from.value << ',' << link.to_robot + 1 << ','
+                      << link.measured.to.value << '\n';
+    }
+  }
+  links.Commit();
+  if (wrong) wrong->Commit();
+}
+
 // A file has no truth; its optimum, without the wrong loops, is the best known.
 template <class Pose>
 std::vector<Pose> Optimum(const PoseGraph<Pose>& graph) {
@@ -220,6 +258,15 @@ void RunGenerate(GenerateCommandOptions options) {
                     {"--outliers-list", options.outliers_list},
                     {"--slips-list", options.slips_list}},
                    {{"--from", options.from}});
+  if (options.robots > 1) {
+    if (options.scene != "manhattan") throw CLI::ValidationError("--robots", "robots drive in manhattan only");
+    if (options.output.empty()) throw CLI::RequiredError("--robots: --output, a folder");
+    const OutlierKind kind = options.generate.wrong_loop_kind;
+    if (kind != OutlierKind::kRandom && kind != OutlierKind::kGrouped)
+      throw CLI::ValidationError("--outlier-kind", "wrong links between robots are random or grouped");
+    GenerateTeam(options);
+    return;
+  }
   if (options.from.empty()) {
     options.generate.scene = SceneFromName(options.scene).value();
     GenerateScene(options);
@@ -252,8 +299,16 @@ void AddGenerateCommand(CLI::App& app) {
                           ->check(CLI::Range(1, 1000000).description(""))
                           ->type_name("N")
                           ->capture_default_str();
+  CLI::Option* robots =
+      command
+          ->add_option("--robots", options->robots,
+                       "Of manhattan: so many robots in one world, each in a frame of its own; --output is a folder "
+                       "for robot_1.g2o, robot_1.tum (the true poses, in one world) and so on, and links.txt between "
+                       "them, which --outliers is of then")
+          ->check(CLI::Range(2, 1000).description(""))
+          ->type_name("N");
   AddSeedOption(*command, options->generate.seed, "Same seed, same data");
-  command->add_option("--output", options->output, "The g2o file, instead of standard output")->type_name("FILE");
+  command->add_option("--output", options->output, "The g2o file, instead of standard output; with --robots a folder")->type_name("FILE");
   CLI::Option* ground_truth =
       command->add_option("--ground-truth", options->ground_truth, "The true trajectory, TUM with pose ids for stamps")
           ->type_name("FILE");
@@ -287,7 +342,8 @@ void AddGenerateCommand(CLI::App& app) {
                        "Add the wrong loops and slips to this graph (g2o, TORO or iSAM) instead of a scene; the g2o "
                        "written has its edges in online order")
           ->type_name("FILE");
-  for (CLI::Option* of_scenes : {scene, poses, area, laps, ground_truth}) from->excludes(of_scenes);
+  for (CLI::Option* of_scenes : {scene, poses, area, laps, ground_truth, robots}) from->excludes(of_scenes);
+  for (CLI::Option* of_one : {area, ground_truth, slips}) robots->excludes(of_one);
   AddReadOptions(*command, options->read);
   command->add_flag("--quiet", options->quiet, "No progress line");
   command->footer(

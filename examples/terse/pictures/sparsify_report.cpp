@@ -1,26 +1,20 @@
 #include "pictures/sparsify_report.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdio>
 #include <map>
 #include <sstream>
 
 #include "pictures/map_picture.h"
+#include "pictures/plain_page.h"
 #include "pictures/svg_chart.h"
 #include "terse/compact/words.h"
+#include "terse/core/stamped_trajectory.h"
 
 namespace terse {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-SE3 InSpace(const SE3& T) { return T; }
-SE3 InSpace(const SE2& T) {
-  const double half = T.Theta() / 2;
-  return SE3(SO3(Quaternion(std::cos(half), 0, 0, std::sin(half))),
-             Vector<3>(T.Translation().x(), T.Translation().y(), 0));
-}
 
 template <class Pose>
 RunFolder Picture(const std::string& name, const PoseGraph<Pose>& all, const std::vector<Pose>& T_world_body) {
@@ -140,19 +134,6 @@ std::string Rows(const Json& stats) {
   return out.str();
 }
 
-constexpr const char* kHead = R"(<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<style>
-:root { color-scheme: light dark; }
-body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; }
-h1 { font-size: 1.4rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
-table { border-collapse: collapse; }
-th, td { text-align: right; padding: .2rem .8rem; border-bottom: 1px solid #8884; }
-th:first-child { text-align: left; font-weight: normal; }
-svg { max-width: 100%; height: auto; }
-</style>
-)";
-
 }  // namespace
 
 template <class Pose>
@@ -160,13 +141,13 @@ void WriteSparsifyReport(const std::string& name, const PoseGraph<Pose>& graph, 
                          const Json& stats, const std::string& path) {
   const std::string unit = stats["criterion"] == WordOf(SparsifyCriterion::kPosition) ? "m²" : "nats";
   std::ostringstream out;
-  out << kHead << "<title>" << EscapeXml(name) << ", sparsified</title></head><body>\n<h1>" << EscapeXml(name)
-      << ", sparsified by " << EscapeXml(stats["criterion"].get<std::string>()) << "</h1>\n"
+  out << "<h1>" << EscapeXml(name) << ", sparsified by " << EscapeXml(stats["criterion"].get<std::string>())
+      << "</h1>\n"
       << "<table><tr><th></th><th>before</th><th>after</th></tr>\n"
       << Rows(stats) << "</table>\n<h2>The map before and after</h2>\n"
       << DrawBoth(graph, small, unit) << "\n"
-      << DrawLinks(small, unit) << "\n<p>terse " << TERSE_VERSION << "</p>\n</body></html>\n";
-  WriteText(out.str(), path);
+      << DrawLinks(small, unit);
+  WritePlainPage(name + ", sparsified", out.str(), path);
 }
 
 template void WriteSparsifyReport(const std::string&, const PoseGraph<SE2>&, const Sparsified<SE2>&, const Json&,

@@ -66,6 +66,10 @@ struct InformationScale {
 template <class Pose>
 PoseGraph<Pose> ScaleInformation(const PoseGraph<Pose>& graph, const InformationScale& scale);
 
+// The same of one factor.
+template <class Pose>
+RelativePoseFactor<Pose> ScaleInformation(const RelativePoseFactor<Pose>& factor, const KindScale& scale);
+
 // A scale out of residuals.
 struct ScaleEstimate {
   double sigma_factor = 1;  // the residuals' standard deviation over the stated one
