@@ -128,9 +128,9 @@ PoseGraph<Pose> ScaleInformation(const PoseGraph<Pose>& graph, const Information
   return out;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                 \
+#define TERSE_INSTANTIATE(Pose)                                                                          \
   template RelativePoseFactor<Pose> ScaleInformation(const RelativePoseFactor<Pose>&, const KindScale&); \
-  template StatedInformation DescribeInformation<Pose>(const PoseGraph<Pose>&); \
+  template StatedInformation DescribeInformation<Pose>(const PoseGraph<Pose>&);                          \
   template PoseGraph<Pose> ScaleInformation<Pose>(const PoseGraph<Pose>&, const InformationScale&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -148,8 +148,8 @@ TYPED_TEST(MergeTest, WrongLinksStayOutAloneAndInGroups) {
       MapLink<Pose> link = first;
       link.measured.from = {first.measured.from.value + s};
       link.measured.to = {first.measured.to.value + s};
-      link.measured.T_from_to = at(link.from_map, link.measured.from.value).Inverse() * T_mistaken *
-                                at(link.to_map, link.measured.to.value);
+      link.measured.T_from_to =
+          at(link.from_map, link.measured.from.value).Inverse() * T_mistaken * at(link.to_map, link.measured.to.value);
       add(link);
     }
     const auto merged = Merge(split.maps, links, KeepAll<Pose>());

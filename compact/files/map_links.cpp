@@ -40,11 +40,13 @@ class Reader {
     fields_.Split(line);
     const char* tag = Pose::kDim == 2 ? "EDGE_SE2" : "EDGE_SE3:QUAT";
     if (fields_.Text(0) != tag)
-      throw fields_.Error(Quoted(fields_.Text(0)) + ", expected " + tag + ": links between maps are edges of their dimension");
+      throw fields_.Error(Quoted(fields_.Text(0)) + ", expected " + tag +
+                          ": links between maps are edges of their dimension");
     if (fields_.Count() < 3) throw fields_.Error("expected two poses after the tag, as in '1:17 2:240'");
     const End from = EndAt(1), to = EndAt(2);
     if (from.map == to.map)
-      throw fields_.Error("both poses are of map " + std::to_string(from.map + 1) + ", expected a link between two maps");
+      throw fields_.Error("both poses are of map " + std::to_string(from.map + 1) +
+                          ", expected a link between two maps");
     MapLink<Pose> link;
     link.measured = Measured(line.number);
     link.from_map = from.map;
@@ -71,8 +73,7 @@ class Reader {
       std::string cause = error.cause();
       const std::size_t at = cause.find(named);
       if (at != std::string::npos) {
-        cause.replace(at, named.size(),
-                      "edge " + std::string(fields_.Text(1)) + " -> " + std::string(fields_.Text(2)));
+        cause.replace(at, named.size(), "edge " + std::string(fields_.Text(1)) + " -> " + std::string(fields_.Text(2)));
       }
       throw fields_.Error(cause);
     }
@@ -93,8 +94,8 @@ class Reader {
       const int map = found == map_of_.end() ? kNoMap : found->second;
       if (map == kNoMap) throw fields_.Error("no map has a pose " + std::to_string(id.value));
       if (map == kSeveralMaps) {
-        throw fields_.Error("several maps have a pose " + std::to_string(id.value) + ", expected MAP:ID as in 2:" +
-                            std::to_string(id.value));
+        throw fields_.Error("several maps have a pose " + std::to_string(id.value) +
+                            ", expected MAP:ID as in 2:" + std::to_string(id.value));
       }
       return {map, id};
     }
@@ -106,7 +107,8 @@ class Reader {
     }
     const auto k = static_cast<std::size_t>(map - 1);
     if (poses_[k].count(id.value) == 0)
-      throw fields_.Error("map " + std::to_string(map) + " (" + maps_[k].name + ") has no pose " + std::to_string(id.value));
+      throw fields_.Error("map " + std::to_string(map) + " (" + maps_[k].name + ") has no pose " +
+                          std::to_string(id.value));
     return {static_cast<int>(k), id};
   }
 

@@ -32,7 +32,8 @@ std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*
       const std::int64_t id = pose.id.value;
       collide = !taken.insert(id).second || collide;
       any_negative = any_negative || id < 0;
-      largest = std::max(largest, id < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(id) : static_cast<std::uint64_t>(id));
+      largest = std::max(largest,
+                         id < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(id) : static_cast<std::uint64_t>(id));
     }
   }
   if (!collide) return offsets;
@@ -73,9 +74,9 @@ CompactMap<Pose> WithOffset(const CompactMap<Pose>& map, std::int64_t offset) {
     edge.added_at = came_with(edge.added_at, edge.measured.to);
     for (auto& part : edge.parts) {
       part.added_at = came_with(part.added_at, edge.measured.to);
-      part.links.erase(std::remove_if(part.links.begin(), part.links.end(),
-                                      [&](PoseId id) { return known.count(id.value) == 0; }),
-                       part.links.end());
+      part.links.erase(
+          std::remove_if(part.links.begin(), part.links.end(), [&](PoseId id) { return known.count(id.value) == 0; }),
+          part.links.end());
       for (PoseId& id : part.links) id = moved(id);
     }
     for (PoseId& id : edge.composed_of) id = moved(id);
@@ -84,7 +85,8 @@ CompactMap<Pose> WithOffset(const CompactMap<Pose>& map, std::int64_t offset) {
   }
   for (auto& prior : out.priors) {
     if (auto* pose = std::get_if<PosePriorFactor<Pose>>(&prior.measured)) pose->pose = moved(pose->pose);
-    if (auto* position = std::get_if<PositionPriorFactor<Pose>>(&prior.measured)) position->pose = moved(position->pose);
+    if (auto* position = std::get_if<PositionPriorFactor<Pose>>(&prior.measured))
+      position->pose = moved(position->pose);
   }
   for (auto& fixed : out.fixed) fixed.pose = moved(fixed.pose);
   for (auto& refused : out.refused) {
@@ -116,9 +118,9 @@ PoseGraph<Pose> GraphOfMap(const CompactMap<Pose>& map) {
   return graph;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                      \
-  template std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*>&);      \
-  template CompactMap<Pose> WithOffset(const CompactMap<Pose>&, std::int64_t);                       \
+#define TERSE_INSTANTIATE(Pose)                                                                 \
+  template std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*>&); \
+  template CompactMap<Pose> WithOffset(const CompactMap<Pose>&, std::int64_t);                  \
   template PoseGraph<Pose> GraphOfMap(const CompactMap<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -9,6 +9,7 @@
 #include "terse/compact/innovation.h"
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
+#include "terse/core/innovation_scale.h"
 
 namespace terse::internal {
 namespace {
@@ -91,6 +92,22 @@ class RelativePoses {
   MatrixX joint_;
 };
 
+// Links without any that agree are left out.
+std::vector<double> TypicalDistances(const std::vector<std::vector<double>>& distance, double most) {
+  std::vector<double> typical, near;
+  for (size_t x = 0; x < distance.size(); ++x) {
+    near.clear();
+    for (size_t y = 0; y < distance.size(); ++y) {
+      if (x != y && distance[x][y] <= most) near.push_back(distance[x][y]);
+    }
+    if (near.empty()) continue;
+    const auto middle = near.begin() + static_cast<std::ptrdiff_t>(near.size() / 2);
+    std::nth_element(near.begin(), middle, near.end());
+    typical.push_back(*middle);
+  }
+  return typical;
+}
+
 }  // namespace
 
 std::vector<int> LargeClique(const std::vector<std::vector<char>>& agrees, const std::vector<char>& allowed) {
@@ -131,16 +148,24 @@ AgreeingLinks FindAgreeing(const std::vector<InterMapLink<Pose>>& links, const M
     in_b.push_back(links[At(l)].in_b);
   }
   const RelativePoses<Pose> of_a(in_a, a), of_b(in_b, b);
-  const double most = ChiSquareQuantile(quantile, Pose::kDof);
-  std::vector<std::vector<char>> agrees(n, std::vector<char>(n, 0));
+  std::vector<std::vector<double>> distance(n, std::vector<double>(n, 0));
   for (size_t x = 0; x < n; ++x) {
     const InterMapLink<Pose>& first = links[At(compared[x])];
     for (size_t y = 0; y < x; ++y) {
       const InterMapLink<Pose>& second = links[At(compared[y])];
       const UncertainPose<Pose> round =
           Compose(Compose(of_a.Between(first.in_a, second.in_a), second.T_a_b), of_b.Between(second.in_b, first.in_b));
-      agrees[x][y] = agrees[y][x] = InnovationDistance(round, first.T_a_b) <= most ? 1 : 0;
+      distance[x][y] = distance[y][x] = InnovationDistance(round, first.T_a_b);
     }
+  }
+  const double stated = ChiSquareQuantile(quantile, Pose::kDof);
+  out.typical = TypicalDistances(distance, stated);
+  InnovationScale scale;
+  for (const double d : out.typical) scale.Add(d);
+  const double most = scale.Limit(stated, Pose::kDof);
+  std::vector<std::vector<char>> agrees(n, std::vector<char>(n, 0));
+  for (size_t x = 0; x < n; ++x) {
+    for (size_t y = 0; y < n; ++y) agrees[x][y] = x != y && distance[x][y] <= most ? 1 : 0;
   }
   std::vector<char> allowed(n, 1);
   const std::vector<int> members = LargeClique(agrees, allowed);
@@ -154,8 +179,8 @@ AgreeingLinks FindAgreeing(const std::vector<InterMapLink<Pose>>& links, const M
   return out;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                       \
-  template AgreeingLinks FindAgreeing(const std::vector<InterMapLink<Pose>>&, const MapKnowledge<Pose>&,              \
+#define TERSE_INSTANTIATE(Pose)                                                                          \
+  template AgreeingLinks FindAgreeing(const std::vector<InterMapLink<Pose>>&, const MapKnowledge<Pose>&, \
                                       const MapKnowledge<Pose>&, double, int);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -10,11 +10,11 @@
 
 #include "carry.h"
 #include "merge/joint_ids.h"
-#include "terse/compact/link_consistency.h"
 #include "pose_history.h"
 #include "sparsify/dropped_poses.h"
 #include "terse/compact/compact_pose_slam.h"
 #include "terse/compact/innovation.h"
+#include "terse/compact/link_consistency.h"
 #include "terse/compact/pose_elimination.h"
 #include "terse/compact/thresholds.h"
 #include "terse/core/at.h"
@@ -24,6 +24,7 @@
 #include "terse/core/error.h"
 #include "terse/core/frame_alignment.h"
 #include "terse/core/gauge.h"
+#include "terse/core/innovation_scale.h"
 #include "terse/core/residual.h"
 #include "terse/covariance/marginals.h"
 
@@ -85,7 +86,10 @@ class Merging {
  public:
   Merging(const std::vector<MapToMerge<Pose>>& maps, const std::vector<MapLink<Pose>>& links,
           const MergeOptions<Pose>& options)
-      : given_(maps), links_(links), options_(options), limit_(ChiSquareQuantile(options.link_quantile, Pose::kDof)) {}
+      : given_(maps),
+        links_(links),
+        options_(options),
+        stated_limit_(ChiSquareQuantile(options.link_quantile, Pose::kDof)) {}
 
   Merged<Pose> Run() {
     Prepare();
@@ -133,6 +137,7 @@ class Merging {
   bool KeepsAbsolute(size_t k) const;
   PoseGraph<Pose> WithLinks() const;
   BatchResult<Pose> Solve(const PoseGraph<Pose>& graph, const BatchOptions& options);
+  double InnovationOf(const Link& link, const Marginals<Pose>& marginals) const;
   bool LetIn(const PoseGraph<Pose>& graph, BatchResult<Pose> result);
   bool ThrowOut(bool graduate);
   void Decide();
@@ -143,7 +148,9 @@ class Merging {
   const std::vector<MapToMerge<Pose>>& given_;
   const std::vector<MapLink<Pose>>& links_;
   const MergeOptions<Pose>& options_;
-  const double limit_;
+  const double stated_limit_;        // of squared innovations
+  internal::InnovationScale scale_;  // of what links show
+  double limit_ = stated_limit_;     // what that makes of it
   std::vector<Part> parts_;
   std::vector<Link> joint_links_;  // as links_
   std::vector<Bond> bonds_;
@@ -174,11 +181,11 @@ void Merging<Pose>::Optimise(Part& part, PlacedMap<Pose>& placed) const {
     const auto& factor = graph.FindFactor(id)->factor;
     const FactorPoses ends = PosesOf(factor);
     const auto value = [&](PoseId pose) { return result.T_world_body[At(graph.IndexOf(pose))]; };
-    return FactorChi2(factor, value(ends.first), value(ends.second)) > limit_;
+    return FactorChi2(factor, value(ends.first), value(ends.second)) > stated_limit_;
   };
   if (std::any_of(loops.begin(), loops.end(), contradicts)) {
     options.robust.kernel = RobustKernel::kGnc;
-    options.robust.width = std::sqrt(limit_);
+    options.robust.width = std::sqrt(stated_limit_);
     options.robust_factors = loops;
     options.graduate = false;
     result = solve(options);
@@ -283,11 +290,12 @@ void Merging<Pose>::Compare() {
       const PoseId in_a = links_[At(l)].from_map == a ? measured.from : measured.to;
       from_a.push_back({in_a, in_a == measured.from ? measured.to : measured.from, SeenFrom(in_a, measured)});
     }
-    const internal::AgreeingLinks found =
-        internal::FindAgreeing(from_a, internal::MapKnowledge<Pose>{parts_[At(a)].marginals.get(), &parts_[At(a)].graph},
-                               internal::MapKnowledge<Pose>{parts_[At(b)].marginals.get(), &parts_[At(b)].graph},
-                               options_.pair_quantile, options_.most_compared);
+    const internal::AgreeingLinks found = internal::FindAgreeing(
+        from_a, internal::MapKnowledge<Pose>{parts_[At(a)].marginals.get(), &parts_[At(a)].graph},
+        internal::MapKnowledge<Pose>{parts_[At(b)].marginals.get(), &parts_[At(b)].graph}, options_.pair_quantile,
+        options_.most_compared);
     for (size_t k = 0; k < links.size(); ++k) out_.links[At(links[k])].agreeing = found.agreeing[k];
+    for (const double d : found.typical) scale_.Add(d);
     const bool is_single = links.size() == 1;
     if (!is_single && (found.members.size() < 2 || found.rival >= static_cast<int>(found.members.size()))) continue;
     Bond bond;
@@ -422,8 +430,7 @@ void Merging<Pose>::Join() {
     for (const auto& node : part.graph.Factors()) {
       if (IsAbsolute(node.factor) && !KeepsAbsolute(k)) continue;
       joint_factor_[k][node.id] = base_.AddFactor(node.factor);
-      if (IsAbsolute(node.factor))
-        absolute.emplace_back(node.factor, ValueOf(base_, PosesOf(node.factor).first));
+      if (IsAbsolute(node.factor)) absolute.emplace_back(node.factor, ValueOf(base_, PosesOf(node.factor).first));
     }
   }
   if (absolute.empty()) return;
@@ -453,20 +460,31 @@ BatchResult<Pose> Merging<Pose>::Solve(const PoseGraph<Pose>& graph, const Batch
   return result;
 }
 
+template <class Pose>
+double Merging<Pose>::InnovationOf(const Link& link, const Marginals<Pose>& marginals) const {
+  const PoseId from = link.measured.from, to = link.measured.to;
+  const auto value = [&](PoseId id) { return values_[At(base_.IndexOf(id))]; };
+  const UncertainPose<Pose> predicted{value(from).Inverse() * value(to), marginals.Relative(from, to)};
+  return InnovationDistance(predicted, SeenFrom(from, link.measured));
+}
+
 // Links that agree with the joint map come in. True if any did.
 template <class Pose>
 bool Merging<Pose>::LetIn(const PoseGraph<Pose>& graph, BatchResult<Pose> result) {
   const Marginals<Pose> marginals(graph, std::move(result));
-  bool any = false;
+  std::vector<size_t> outside;
   for (size_t l = 0; l < joint_links_.size(); ++l) {
     Link& link = joint_links_[l];
     if (link.in || !base_.HasPose(link.measured.from) || !base_.HasPose(link.measured.to)) continue;
-    const PoseId from = link.measured.from, to = link.measured.to;
-    const auto value = [&](PoseId id) { return values_[At(base_.IndexOf(id))]; };
-    const UncertainPose<Pose> predicted{value(from).Inverse() * value(to), marginals.Relative(from, to)};
-    out_.links[l].innovation = InnovationDistance(predicted, SeenFrom(from, link.measured));
-    if (out_.links[l].innovation > limit_ || link.returns >= kMostReturns) continue;
-    link.in = any = true;
+    out_.links[l].innovation = InnovationOf(link, marginals);
+    if (out_.links[l].innovation <= stated_limit_ && link.returns == 0) scale_.Add(out_.links[l].innovation);
+    outside.push_back(l);
+  }
+  limit_ = scale_.Limit(stated_limit_, Pose::kDof);
+  bool any = false;
+  for (const size_t l : outside) {
+    if (out_.links[l].innovation > limit_ || joint_links_[l].returns >= kMostReturns) continue;
+    joint_links_[l].in = any = true;
   }
   return any;
 }
@@ -549,8 +567,7 @@ void Merging<Pose>::Describe() {
     if (link.in) {
       out.innovation = FactorChi2(Factor<Pose>(link.measured), value(from), value(to));
     } else {
-      const UncertainPose<Pose> predicted{value(from).Inverse() * value(to), marginals.Relative(from, to)};
-      out.innovation = InnovationDistance(predicted, SeenFrom(from, link.measured));
+      out.innovation = InnovationOf(link, marginals);
     }
   }
 }
@@ -674,9 +691,9 @@ Merged<Pose> Merge(const std::vector<MapToMerge<Pose>>& maps, const std::vector<
   return Merging<Pose>(maps, links, options).Run();
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                          \
-  template CompactMap<Pose> MapOfGraph(const PoseGraph<Pose>&, int);                                     \
-  template Merged<Pose> Merge(const std::vector<MapToMerge<Pose>>&, const std::vector<MapLink<Pose>>&,   \
+#define TERSE_INSTANTIATE(Pose)                                                                        \
+  template CompactMap<Pose> MapOfGraph(const PoseGraph<Pose>&, int);                                   \
+  template Merged<Pose> Merge(const std::vector<MapToMerge<Pose>>&, const std::vector<MapLink<Pose>>&, \
                               const MergeOptions<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

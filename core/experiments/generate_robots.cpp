@@ -41,7 +41,9 @@ class Robots {
   }
 
  private:
-  const SE2& TrueAt(const Place& place) const { return data_.T_world_body_true[At(place.robot)][static_cast<std::size_t>(place.pose)]; }
+  const SE2& TrueAt(const Place& place) const {
+    return data_.T_world_body_true[At(place.robot)][static_cast<std::size_t>(place.pose)];
+  }
   static Cell CellOf(const SE2& T) { return {std::lround(T.Translation().x()), std::lround(T.Translation().y())}; }
 
   // Starts are on the grid of the blocks, which all robots share.
@@ -107,7 +109,9 @@ class Robots {
     for (long k = 0; k < options_.poses; ++k) seen_[CellOf(TrueAt({robot, k}))].push_back({robot, k});
   }
 
-  Place Anywhere(int robot) { return {robot, static_cast<long>(Below(wrong_, static_cast<std::size_t>(options_.poses)))}; }
+  Place Anywhere(int robot) {
+    return {robot, static_cast<long>(Below(wrong_, static_cast<std::size_t>(options_.poses)))};
+  }
 
   void AddWrong() {
     const std::size_t true_links = data_.links.size();

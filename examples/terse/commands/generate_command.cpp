@@ -180,7 +180,8 @@ void GenerateTeam(const GenerateCommandOptions& options) {
   if (!options.outliers_list.empty()) wrong.emplace(options.outliers_list).Stream() << "from_map,from,to_map,to\n";
   for (const RobotLink& link : data.links) {
     const auto end = [](int robot, PoseId id) { return std::to_string(robot + 1) + ':' + std::to_string(id.value); };
-    std::string line = "EDGE_SE2 " + end(link.from_robot, link.measured.from) + ' ' + end(link.to_robot, link.measured.to);
+    std::string line =
+        "EDGE_SE2 " + end(link.from_robot, link.measured.from) + ' ' + end(link.to_robot, link.measured.to);
     AppendPose(line, link.measured.T_from_to);
     AppendUpperTriangle<3>(line, link.measured.information);
     links.Stream() << line << '\n';
@@ -308,7 +309,8 @@ void AddGenerateCommand(CLI::App& app) {
           ->check(CLI::Range(2, 1000).description(""))
           ->type_name("N");
   AddSeedOption(*command, options->generate.seed, "Same seed, same data");
-  command->add_option("--output", options->output, "The g2o file, instead of standard output; with --robots a folder")->type_name("FILE");
+  command->add_option("--output", options->output, "The g2o file, instead of standard output; with --robots a folder")
+      ->type_name("FILE");
   CLI::Option* ground_truth =
       command->add_option("--ground-truth", options->ground_truth, "The true trajectory, TUM with pose ids for stamps")
           ->type_name("FILE");

@@ -133,8 +133,7 @@ void RunMerge(const MergeCommandOptions& options) {
   std::vector<NamedPath> read = {{"--links", options.links}};
   for (const std::string& path : options.paths) {
     if (IsRun(path)) {
-      for (const char* file : {"graph.json", "thresholds.json"})
-        read.push_back({"MAP", path + "/" + file});
+      for (const char* file : {"graph.json", "thresholds.json"}) read.push_back({"MAP", path + "/" + file});
     } else {
       read.push_back({"MAP", path});
     }
@@ -146,8 +145,9 @@ void RunMerge(const MergeCommandOptions& options) {
     inputs.push_back(ReadInput(path, options));
     if (inputs.back().map.index() != inputs[0].map.index()) {
       const auto dimension = [](const Input& input) { return input.map.index() == 0 ? "2D" : "3D"; };
-      throw FileError(path, 0, std::string(dimension(inputs.back())) + ", but " + inputs[0].path + " is " +
-                                   dimension(inputs[0]) + ": maps of one dimension are merged");
+      throw FileError(path, 0,
+                      std::string(dimension(inputs.back())) + ", but " + inputs[0].path + " is " +
+                          dimension(inputs[0]) + ": maps of one dimension are merged");
     }
   }
   RequireFolder(options.directory, "compact.g2o");
@@ -161,9 +161,10 @@ void AddMergeCommand(CLI::App& app) {
   CLI::App* command = app.add_subcommand(
       "merge", "Join maps of several sessions or robots whose start relative to each other is unknown");
   command
-      ->add_option("MAP", options->paths,
-                   "Two or more: folders of compact, kitti or merge, or graph files (g2o, TORO or iSAM). The ids of the "
-                   "first stay, and its robot can go on in the joint map")
+      ->add_option(
+          "MAP", options->paths,
+          "Two or more: folders of compact, kitti or merge, or graph files (g2o, TORO or iSAM). The ids of the "
+          "first stay, and its robot can go on in the joint map")
       ->required()
       ->type_name("MAP...");
   command

@@ -1,5 +1,7 @@
 #include "pictures/merge_report.h"
 
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <sstream>
 #include <unordered_map>
@@ -43,6 +45,7 @@ RunFolder Picture(const std::string& name, const CompactMap<Pose>& map, const Is
 }
 
 std::string Number(double value) {
+  if (std::abs(value) < 1e-12) value = 0;  // rounding
   char text[40];
   std::snprintf(text, sizeof text, "%.4g", value);
   return text;
@@ -72,19 +75,24 @@ void WriteMergeReport(const std::vector<MapToMerge<Pose>>& maps, const Merged<Po
                     "sigma of its first pose"});
   for (const Json& map : stats["maps"]) {
     const bool is_apart = !map.contains("T_joint_map");
-    out << Row("td", {EscapeXml(map["name"].get<std::string>()), map["placement"].get<std::string>(),
-                      map["poses"].dump(), map["poses_kept"].dump(), map["links"].dump(), map["links_accepted"].dump(),
-                      map["id_offset"].dump(), is_apart ? "" : List(map["T_joint_map"]),
-                      is_apart ? "" : List(map["sigma_of_first_pose"])});
+    out << Row("td",
+               {EscapeXml(map["name"].get<std::string>()), map["placement"].get<std::string>(), map["poses"].dump(),
+                map["poses_kept"].dump(), map["links"].dump(), map["links_accepted"].dump(), map["id_offset"].dump(),
+                is_apart ? "" : List(map["T_joint_map"]), is_apart ? "" : List(map["sigma_of_first_pose"])});
   }
   out << "</table>\n<p>" << stats["links_accepted"] << " of " << stats["links"] << " links between maps are in, "
       << stats["links_inconsistent"] << " contradict the others; " << stats["poses_kept"] << " poses are kept, "
-      << stats["retired"] << " retired.</p>\n<h2>The joint map, links in colour, and each map alone</h2>\n";
-  std::vector<RunFolder> pictures;
-  const auto crosses = [](const auto& edge) { return edge.is_loop; };
-  pictures.push_back(Picture("joint map", merged.map, crosses));
-  for (const auto& map : maps) pictures.push_back(Picture(map.name, map.map, crosses));
-  out << DrawMaps(pictures);
+      << stats["retired"] << " retired.</p>\n<h2>The joint map, and each map alone</h2>\n";
+  std::unordered_map<std::int64_t, std::size_t> map_of;  // by joint id
+  for (std::size_t k = 0; k < maps.size(); ++k) {
+    for (const auto& pose : maps[k].map.poses) map_of[pose.id.value + merged.maps[k].id_offset] = k;
+  }
+  out << DrawMaps({Picture("joint map, links between maps", merged.map, [&](const auto& edge) {
+    return map_of.at(edge.measured.from.value) != map_of.at(edge.measured.to.value);
+  })});
+  for (const auto& map : maps) {
+    out << '\n' << DrawMaps({Picture(map.name, map.map, [](const auto& edge) { return edge.is_loop; })});
+  }
   WritePlainPage("merged map", out.str(), path);
 }
 

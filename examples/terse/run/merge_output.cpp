@@ -117,8 +117,8 @@ const std::vector<std::string>& MergeFiles() {
   return files;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                      \
-  template nlohmann::ordered_json MergeStats(const Merged<Pose>&);                                   \
+#define TERSE_INSTANTIATE(Pose)                                    \
+  template nlohmann::ordered_json MergeStats(const Merged<Pose>&); \
   template void WriteMerged(const Merged<Pose>&, RotationInformation, const InformationScale&, const std::string&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

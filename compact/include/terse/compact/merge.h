@@ -8,9 +8,9 @@
 //
 // 1. Each map is brought to its optimum. Loops of its own that it contradicts there stay out, as its kernel had it.
 // 2. Two maps: a pair of links closes a cycle through both. Links that pairwise agree, within the covariances of the
-//    cycle, hold the two maps together: the largest such set that is found (PCM: Mangelson, Dominic, Eustice, Vasudevan,
-//    ICRA 2018), if no other set without a link of it is as large. A single link that nothing confirms counts only where
-//    there is no other between its maps, and holds them only where nothing else does.
+//    cycle, hold the two maps together: the largest such set that is found (PCM: Mangelson, Dominic, Eustice,
+//    Vasudevan, ICRA 2018), if no other set without a link of it is as large. A single link that nothing confirms
+//    counts only where there is no other between its maps, and holds them only where nothing else does.
 // 3. Maps are put together along a spanning tree, the largest sets first. Maps whose absolute measurements determine
 //    where they lie in the world need no links.
 // 4. All other links are tested against the joint optimum, with covariances across maps, those that agree come in, and
@@ -81,8 +81,8 @@ struct PlacedMap {
   // Of that pose, body frame: relative to the first pose of the reference map, or absolute if absolute measurements
   // determine where the joint map is.
   typename Pose::Jacobian covariance = Pose::Jacobian::Zero();
-  int poses = 0;     // that came with it
-  int kept = 0;      // of these in the joint map
+  int poses = 0;      // that came with it
+  int kept = 0;       // of these in the joint map
   int loops_out = 0;  // of its own that its optimum contradicts
 };
 
@@ -102,15 +102,15 @@ struct MergeOptions {
 
 template <class Pose>
 struct Merged {
-  PoseGraph<Pose> graph;  // kept poses and all that is measured, at the optimum; covariances cross maps
-  CompactMap<Pose> map;   // the same with the dropped poses; those of maps[0] come last
-  std::vector<PlacedMap<Pose>> maps;     // in the order given
-  std::vector<MergedLink<Pose>> links;   // likewise
-  std::vector<RetiredPose> retired;      // in the order in which they went
-  int poses_before = 0;                  // kept, before poses retired
-  Thresholds<Pose> thresholds;           // that poses retired by, and for a run that goes on
-  double chi2 = 0;                       // of `graph`
-  double chi2_before = 0;                // before poses retired
+  PoseGraph<Pose> graph;                // kept poses and all that is measured, at the optimum; covariances cross maps
+  CompactMap<Pose> map;                 // the same with the dropped poses; those of maps[0] come last
+  std::vector<PlacedMap<Pose>> maps;    // in the order given
+  std::vector<MergedLink<Pose>> links;  // likewise
+  std::vector<RetiredPose> retired;     // in the order in which they went
+  int poses_before = 0;                 // kept, before poses retired
+  Thresholds<Pose> thresholds;          // that poses retired by, and for a run that goes on
+  double chi2 = 0;                      // of `graph`
+  double chi2_before = 0;               // before poses retired
 };
 
 // A graph as a map at its optimum, all its poses kept. Throws std::invalid_argument if it is empty or not connected,

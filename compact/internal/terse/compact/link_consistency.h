@@ -18,9 +18,12 @@ struct InterMapLink {
 };
 
 struct AgreeingLinks {
-  std::vector<int> members;  // by position in what was asked, ascending; each agrees with each other
+  std::vector<int> members;   // by position in what was asked, ascending; each agrees with each other
   std::vector<int> agreeing;  // with how many of those compared; -1: was not compared
   int rival = 0;              // the size of the largest set that was found without any of these
+  // Of each that was compared: the median squared distance from those that it agrees with as the covariances are
+  // stated.
+  std::vector<double> typical;
 };
 
 // The values at which the marginals are, by pose.
@@ -30,8 +33,10 @@ struct MapKnowledge {
   const PoseGraph<Pose>* graph;  // at its optimum
 };
 
-// At most `most_compared` links are compared, spread over all. O(most_compared^2) and one joint covariance of their
-// poses in either map. The largest set is searched for greedily, from the links that agree with most.
+// Two agree if the squared distance is within this quantile of its chi-square distribution, or within less where
+// distances show that the covariances are too cautious (innovation_scale.h). At most `most_compared` links are
+// compared, spread over all. O(most_compared^2) and one joint covariance of their poses in either map. The largest set
+// is searched for greedily, from the links that agree with most.
 template <class Pose>
 AgreeingLinks FindAgreeing(const std::vector<InterMapLink<Pose>>& links, const MapKnowledge<Pose>& a,
                            const MapKnowledge<Pose>& b, double quantile, int most_compared);
