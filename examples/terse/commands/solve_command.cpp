@@ -14,6 +14,7 @@
 #include "run/step_covariances.h"
 #include "terse/compact/json_file.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/certificate.h"
 #include "terse/core/error.h"
 #include "terse/core/gauge.h"
 #include "terse/core/initial_values.h"
@@ -50,7 +51,7 @@ struct SolveOptions {
   bool paper_flops = false;
   RobustOptions robust;
   int threads = 1;
-  bool quiet = false;
+  bool certify = false, quiet = false;
   LogSink log;
 };
 
@@ -175,6 +176,41 @@ void AddRobustStats(const PoseGraph<Pose>& graph, const BatchResult<Pose>& resul
                           {"odometry_slips", slips}};
 }
 
+// Of what the kernel leaves in.
+template <class Pose>
+void AddCertificate(const PoseGraph<Pose>& graph, const BatchResult<Pose>& result, const SolveOptions& options,
+                    Stats& stats) {
+  const double before = SecondsNow();
+  CertifyOptions certify;
+  certify.threads = options.threads;
+  const Certificate found = Certify(WithWeights(graph, result.weights), result.T_world_body, certify);
+  stats.more["certificate"] = {{"global", found.is_global},
+                               {"gap", found.gap},
+                               {"cost", found.cost},
+                               {"bound", found.bound},
+                               {"smallest_eigenvalue", found.smallest_eigenvalue},
+                               {"largest_turn_rad", found.largest_turn_rad},
+                               {"largest_shift_m", found.largest_shift_m},
+                               {"absolute_measurements_left_out", found.has_absolute},
+                               {"seconds", SecondsNow() - before}};
+}
+
+std::string CertificateInWords(const nlohmann::ordered_json& found) {
+  char line[300];
+  if (found["global"].get<bool>()) {
+    std::snprintf(line, sizeof line, "certified: the optimum is global (relative gap %.1e)",
+                  found["gap"].get<double>());
+  } else {
+    std::snprintf(line, sizeof line,
+                  "not certified: the optimum may be local, or measurements contradict each other too much to tell; "
+                  "at most %.3g %% of the cost could be gained",
+                  100 * std::min(1.0, found["gap"].get<double>()));
+  }
+  std::string text = line;
+  if (found["absolute_measurements_left_out"].get<bool>()) text += "; absolute measurements have no part in this";
+  return text;
+}
+
 template <class Pose>
 void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& result, const SolveOptions& options) {
   std::vector<PoseId> ids;
@@ -215,6 +251,7 @@ void PrintSummary(const Stats& stats, bool output_taken) {
   out << (robust ? "chi2 without weights, rejected loops included, " : "chi2 ") << stats.chi2 << ", "
       << stats.termination << " after " << stats.iterations << (stats.iterations == 1 ? " iteration" : " iterations")
       << ", " << stats.seconds_total << " s\n";
+  if (stats.more.contains("certificate")) out << CertificateInWords(stats.more["certificate"]) << '\n';
   FlushOutput();
 }
 
@@ -238,6 +275,7 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
     WriteCovariances(graph, result, options);
     stats.seconds_covariance = SecondsNow() - before;
   }
+  if (options.certify) AddCertificate(graph, result, options, stats);
   graph.SetPoses(result.T_world_body);
   std::vector<PoseId> ids;
   for (const auto& node : graph.Poses()) ids.push_back(node.id);
@@ -392,6 +430,8 @@ void AddSolveCommand(CLI::App& app) {
       ->add_option("--covariance-output", options->covariance_output,
                    "Where the covariances go (CSV; standard output by default); alone it means diagonal")
       ->type_name("PATH");
+  command->add_flag("--certify", options->certify,
+                    "Say whether the optimum is global: a dual certificate of the chordal relaxation, with its gap");
   command->add_option("--stats", options->stats, "Write statistics (JSON)")->type_name("PATH");
   command->add_option("--threads", options->threads, "Upper limit of threads; the result does not depend on it")
       ->check(CLI::PositiveNumber.description(""))
