@@ -11,6 +11,7 @@
 #include "cholesky/elimination.h"
 #include "terse/core/at.h"
 #include "terse/core/block_cholesky.h"
+#include "terse/core/front_tree.h"
 #include "testing_factor.h"
 
 namespace terse::internal {
@@ -187,6 +188,53 @@ TEST(Ordering, AFactorThatGrowsStaysNearAFreshOne) {
     grown.Solve();
     const Eigen::Map<const Eigen::VectorXd> solution(grown.Solution().data(), B * n);
     EXPECT_LT((solution - expected).norm(), 1e-9 * expected.norm());
+  }
+}
+
+double ScalarsOfUpdates(const FrontTree<3>& tree) {
+  double sum = 0;
+  for (const int f : tree.TopDown()) sum += static_cast<double>(tree[f].update.size());
+  return sum;
+}
+
+// A large factor without its update matrices is the same to the last bit, and a later update makes it anew.
+TEST(Ordering, UpdateMatricesAreDroppedWhereTheyTakeMuch) {
+  constexpr int B = 3;
+  using Cholesky = BlockCholesky<B>;
+  Random rng(4);
+  const int side = 120, n = side * side;
+  Cholesky::Changes all;
+  all.new_variables = n;
+  for (int v = 0; v < n; ++v) all.added.push_back(RandomFactor<B>(rng, v, -1));
+  const Cliques grid = Grid(side);
+  for (int c = 0; c < grid.Count(); ++c)
+    all.added.push_back(RandomFactor<B>(rng, grid.members[At(2 * c)], grid.members[At(2 * c + 1)]));
+  Cholesky::Changes late;
+  late.added.push_back(RandomFactor<B>(rng, 3, n - 5));
+  std::vector<std::vector<double>> expected;  // of the first, refactored, updated
+  for (const auto& [drops, threads] : {std::pair(false, 1), std::pair(true, 1), std::pair(true, 3)}) {
+    SCOPED_TRACE(std::to_string(drops) + ' ' + std::to_string(threads));
+    Cholesky cholesky;
+    cholesky.SetThreads(threads);
+    if (drops) cholesky.DropUpdateMatrices();
+    std::vector<std::vector<double>> found;
+    ASSERT_TRUE(cholesky.Update(all).ok);
+    cholesky.Solve();
+    found.push_back(cholesky.Solution());
+    const double scalars = ScalarsOfUpdates(cholesky.Tree());
+    EXPECT_EQ(scalars < 1e6, drops) << scalars;
+    ASSERT_TRUE(cholesky.Refactor(std::vector<double>(At(B * n), 0.1)));
+    cholesky.Solve();
+    found.push_back(cholesky.Solution());
+    ASSERT_TRUE(cholesky.Refactor());
+    ASSERT_TRUE(cholesky.Update(late).ok);
+    cholesky.Solve();
+    found.push_back(cholesky.Solution());
+    if (expected.empty()) expected = found;
+    EXPECT_EQ(found[0], expected[0]);
+    EXPECT_EQ(found[1], expected[1]);
+    const Eigen::Map<const Eigen::VectorXd> x(found[2].data(), B * n), y(expected[2].data(), B * n);
+    EXPECT_LT((x - y).norm(), 1e-9 * y.norm());
   }
 }
 

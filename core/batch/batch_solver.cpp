@@ -52,7 +52,7 @@ class Run {
         tolerance_(options.relative_tolerance) {
     if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
     result_.T_world_body = initial;
-    result_.cholesky.SetThreads(options.threads);
+    PrepareCholesky();
   }
 
   BatchResult<Pose> Execute() && {
@@ -78,6 +78,13 @@ class Run {
     result_.termination = termination;
     result_.message = message;
     done_ = true;
+  }
+
+  // An empty factor.
+  void PrepareCholesky() {
+    result_.cholesky = BlockCholesky<B>();
+    result_.cholesky.SetThreads(options_.threads);
+    result_.cholesky.DropUpdateMatrices();
   }
 
   bool BuildFactor() {
@@ -132,8 +139,7 @@ class Run {
     damping_control_ = Damping();
     if (problem_.IsOutdated()) {
       Log(options_.log, LogLevel::kDebug, "batch: the factor is ordered anew for the loops that have weight");
-      result_.cholesky = BlockCholesky<B>();
-      result_.cholesky.SetThreads(options_.threads);
+      PrepareCholesky();
       if (BuildFactor()) linearised_here_ = factored_here_ = true;
     }
     return changed;
@@ -184,8 +190,7 @@ class Run {
     if (!factored_here_) {
       // Another order may round better; or it says what is free.
       Log(options_.log, LogLevel::kInfo, "batch: not positive definite at the optimum, the factor is ordered anew");
-      result_.cholesky = BlockCholesky<B>();
-      result_.cholesky.SetThreads(options_.threads);
+      PrepareCholesky();
       factored_here_ = BuildFactor();
     }
     if (!factored_here_) return;

@@ -142,6 +142,7 @@ void SolveRotations(const PoseGraph<Pose>& graph, const std::vector<PosePriorFac
                     const Pose& T_world_first, std::vector<Pose>& values) {
   constexpr int D = Pose::kDim;
   BlockCholesky<3> factor;
+  factor.DropUpdateMatrices();
   std::vector<Block<D>> X(values.size());
   for (int column = 0; column < (D == 2 ? 1 : D); ++column) {
     LeastSquares<D> problem(values.size());
@@ -219,6 +220,7 @@ void SolveTranslations(const PoseGraph<Pose>& graph, const std::vector<PosePrior
         [&](const Block<D>& U, const Point<D>& r) { problem.Add(i, U, r); });
   }
   BlockCholesky<3> factor;
+  factor.DropUpdateMatrices();
   const std::vector<Point<D>> t = problem.Solve(factor);
   for (std::size_t k = 0; k < values.size(); ++k) Assign(values[k], RotationOf(values[k]), t[k]);
 }

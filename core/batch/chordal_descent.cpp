@@ -104,6 +104,7 @@ int DescendChordally(const std::vector<ChordalTerm<Pose>>& terms, int max_iterat
   };
   BlockCholesky<B> cholesky;
   cholesky.SetThreads(threads);
+  cholesky.DropUpdateMatrices();
   typename BlockCholesky<B>::Changes everything;
   everything.new_variables = static_cast<int>(T_world_body.size());
   everything.added = linearise();

@@ -37,6 +37,7 @@ class Comparison {
   Comparison(const PoseGraph<Pose>& graph, const StartOptions& options)
       : graph_(graph), problem_(graph, options.threads), options_(options) {
     factor_.SetThreads(options.threads);
+    factor_.DropUpdateMatrices();
   }
 
   StartChoice<Pose> Execute() && {

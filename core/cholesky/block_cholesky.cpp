@@ -84,6 +84,11 @@ void BlockCholesky<B>::SetThreads(int threads) {
 }
 
 template <int B>
+void BlockCholesky<B>::DropUpdateMatrices() {
+  parts_->numbers.DropUpdates();
+}
+
+template <int B>
 void BlockCholesky<B>::SetLinearFactors(const std::vector<LinearFactor<B>>& factors) {
   system_.SetLinearFactors(factors, parts_->numbers.Threads());
 }
@@ -136,7 +141,9 @@ template <int B>
 int BlockCholesky<B>::BringIn(const typename BlockSystem<B>::Undo& undo, UpdateReport& report) {
   auto& [tree, numbers, region, rank_update, substitution, prepared] = *parts_;
   internal::UpdateContext<B> update{system_, undo, tree, numbers, next_version_, report};
-  if (!region.TakeAllIfDrifted(update)) {
+  if (numbers.HasDropped()) {
+    region.TakeAll(tree);
+  } else if (!region.TakeAllIfDrifted(update)) {
     if (method_ != Method::kRefactor && CanAppend(update)) return Append(update);
     region.TakeAffected(update);
     typename internal::RankUpdate<B>::Path path;

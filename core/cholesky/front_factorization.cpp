@@ -16,6 +16,8 @@ using std::size_t;
 
 constexpr double kSingular = 4e-15;
 constexpr double kParallelFlops = 2e7;  // from which it pays to wake other threads
+// Update matrices that take less, scalars, are kept in any case: to use their memory again is quicker.
+constexpr double kLeastDropped = 16e6;
 
 // Sum of the squared column counts.
 double FactorFlops(double rows, double pivots) {
@@ -46,6 +48,39 @@ void AddRightHandSide(Front<B>& front, int column, const double* b, size_t strid
   double* target = Target<B>(front, front.Rows() - 1, column);
   for (size_t k = 0; k < B; ++k) target[k * step] += b[k * stride];
 }
+
+// Of a forest given by parents, children by ascending number. Unused: nobody has children.
+class ChildLists {
+ public:
+  ChildLists() = default;
+  explicit ChildLists(const std::vector<int>& parents) : first_(parents.size(), -1), next_(parents.size(), -1) {
+    for (int k = static_cast<int>(parents.size()) - 1; k >= 0; --k) {
+      int& first = parents[At(k)] < 0 ? first_root_ : first_[At(parents[At(k)])];
+      next_[At(k)] = std::exchange(first, k);
+    }
+  }
+  bool IsUsed() const { return !first_.empty(); }
+  template <class Visit>
+  void ForEach(int parent, const Visit& visit) const {
+    if (!IsUsed()) return;
+    for (int child = first_[At(parent)]; child >= 0; child = next_[At(child)]) visit(child);
+  }
+  std::vector<int> Postorder() const {
+    std::vector<int> order, stack;
+    for (int root = first_root_; root >= 0; root = next_[At(root)]) stack.push_back(root);
+    while (!stack.empty()) {  // parents first, then turned round
+      order.push_back(stack.back());
+      stack.pop_back();
+      ForEach(order.back(), [&](int child) { stack.push_back(child); });
+    }
+    std::reverse(order.begin(), order.end());
+    return order;
+  }
+
+ private:
+  std::vector<int> first_, next_;
+  int first_root_ = -1;
+};
 
 void ClearLower(double* matrix, int rows, int columns) {
   for (int c = 0; c < columns; ++c) std::fill_n(matrix + At(c) * At(rows) + At(c), rows - c, 0.0);
@@ -171,23 +206,46 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
     if (front.update.size() < n * n) front.update = pool_.Take(n * n);
   };
   const Sources from{system, tree, pending, damping};
-  double total = 0;
-  for (const Front<B>* front : fronts) total += FactorFlops(front->Rows(), front->Columns());
+  double total = 0, updates = 0;
+  for (const Front<B>* front : fronts) {
+    total += FactorFlops(front->Rows(), front->Columns());
+    updates += std::pow(front->Rows() - front->Columns(), 2);
+  }
   const int count = static_cast<int>(fronts.size());
+  const ChildLists children = drops_updates_ && updates > kLeastDropped ? ChildLists(parents) : ChildLists();
+  has_dropped_ = children.IsUsed();
   std::atomic<int> end(count);  // the first front that failed, or all
   std::vector<int> failed(fronts.size(), -1);
   const auto factor = [&](int k, std::vector<int>& row_of, bool parallel) {
     int seen = end;
     if (k > seen) return;
     failed[At(k)] = FactorFront(*fronts[At(k)], from, row_of, parallel);
+    children.ForEach(k, [&](int child) { std::vector<double>().swap(fronts[At(child)]->update); });
     while (failed[At(k)] >= 0 && k < seen && !end.compare_exchange_weak(seen, k)) continue;
   };
+  // The pool is nobody's who works beside others.
+  const auto allocate = [](Front<B>& front) {
+    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
+    if (front.panel.size() < rows * At(front.Columns())) front.panel.resize(rows * At(front.Columns()));
+    if (front.update.size() < n * n) front.update.resize(n * n);
+  };
   if (threads_ > 1 && total > kParallelFlops) {
-    for (Front<B>* front : fronts) take_buffers(*front);
+    for (Front<B>* front : fronts) {
+      if (!has_dropped_) take_buffers(*front);
+    }
     thread_row_of_.resize(At(threads_));
     for (auto& row_of : thread_row_of_) row_of.resize(row_of_.size());
-    WithThreads(threads_,
-                [&] { ForEachBottomUp(parents, [&](int k) { factor(k, thread_row_of_[ThreadIndex()], true); }); });
+    WithThreads(threads_, [&] {
+      ForEachBottomUp(parents, [&](int k) {
+        if (has_dropped_) allocate(*fronts[At(k)]);
+        factor(k, thread_row_of_[ThreadIndex()], true);
+      });
+    });
+  } else if (has_dropped_) {  // a subtree at a time, so that few update matrices wait
+    for (const int k : children.Postorder()) {
+      allocate(*fronts[At(k)]);
+      factor(k, row_of_, false);
+    }
   } else {
     for (int k = 0; k < std::min(count, end + 1); ++k) {
       take_buffers(*fronts[At(k)]);
@@ -254,7 +312,8 @@ void FrontFactorization<B>::WorkInCorrections(Front<B>& front) {
 template <int B>
 template <class Archive>
 void FrontFactorization<B>::Serialize(Archive& archive) {
-  auto& [row_of, thread_row_of, pool, threads] = *this;  // the rest is scratch
+  // The rest is scratch; a factor without update matrices is not stored.
+  auto& [row_of, thread_row_of, pool, threads, drops_updates, has_dropped] = *this;
   archive(threads);
 }
 

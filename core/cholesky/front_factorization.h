@@ -53,6 +53,10 @@ class FrontFactorization {
   // measures, or -1.
   static int SumPivots(Front<B>& front, int first_column, const BlockSystem<B>& system);
 
+  // FactorAll of a whole tree then frees each update matrix as soon as the parent has taken it, where they take much.
+  void DropUpdates() { drops_updates_ = true; }
+  bool HasDropped() const { return has_dropped_; }
+
   BufferPool& Pool() { return pool_; }
   // Scratch, by variable: its first row in the front at hand.
   std::vector<int>& RowOf() { return row_of_; }
@@ -78,6 +82,7 @@ class FrontFactorization {
   std::vector<std::vector<int>> thread_row_of_;  // the same, by thread
   BufferPool pool_;
   int threads_ = 1;
+  bool drops_updates_ = false, has_dropped_ = false;
 };
 
 extern template class FrontFactorization<3>;

@@ -19,6 +19,7 @@ class Region {
   // Takes all fronts if a fresh order of everything would make the paths far shorter; returns whether it did. Looked at
   // when the work since the last look is a multiple of what looking costs.
   bool TakeAllIfDrifted(const UpdateContext<B>& update);
+  void TakeAll(const FrontTree<B>& tree);
   // What an update that succeeded took, for that.
   void NoteWork(double flops) { watch_.work += flops; }
   const std::vector<int>& Fronts() const { return fronts_; }
@@ -51,7 +52,6 @@ class Region {
     std::vector<char> order_last;   // by variable
     std::vector<SymbolicFront> fronts;
   };
-  void TakeAll(const FrontTree<B>& tree);
   template <class Visit>
   void ForEachSlot(const UpdateContext<B>& update, const Visit& visit) const;
   Couplings Collect(const UpdateContext<B>& update);

@@ -119,6 +119,10 @@ class BlockCholesky {
   // Up to so many threads (1 at first) share large work; results are the same to the last bit for any number. Throws
   // std::invalid_argument for less than one.
   void SetThreads(int threads);
+  // For those who factor all at once, in a batch: the update matrices of a large factor go as soon as they have been
+  // assembled, which leaves a fraction of the memory. An Update later on factors everything again; nothing can be made
+  // ready in pieces.
+  void DropUpdateMatrices();
 
   // New values for the linear factors of slots 0, 1, ... on the present structure: numeric work only. damping (B *
   // Variables() scalars or empty) is added to the diagonal. If false, L is unusable until a Refactor succeeds.
