@@ -109,7 +109,8 @@ class ShiftedInverse {
     solver_.factorize(shifted);
     return solver_.info() == Eigen::Success;
   }
-  // As Spectra asks for it.
+  // Names that Spectra asks for.
+  // NOLINTBEGIN(readability-identifier-naming)
   Eigen::Index rows() const { return poses_ * D; }
   Eigen::Index cols() const { return rows(); }
   void set_shift(double) {}
@@ -123,6 +124,7 @@ class ShiftedInverse {
       for (int k = 0; k < D; ++k) y[v * D + k] = solution[RotationAt<D>(v) + k];
     }
   }
+  // NOLINTEND(readability-identifier-naming)
 
  private:
   const Sparse& S_;

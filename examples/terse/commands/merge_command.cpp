@@ -101,6 +101,7 @@ void PrintSummary(const nlohmann::ordered_json& stats, const std::string& direct
 template <class Pose>
 void RunOn(const std::vector<Input>& inputs, const MergeCommandOptions& options, double start) {
   std::vector<MapToMerge<Pose>> maps;
+  maps.reserve(inputs.size());
   for (const Input& input : inputs) maps.push_back({NameOf(input.path), std::get<CompactMap<Pose>>(input.map)});
   std::vector<MapLink<Pose>> links;
   if (!options.links.empty()) links = ReadMapLinks<Pose>(options.links, maps, options.read);

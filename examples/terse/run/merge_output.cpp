@@ -1,7 +1,6 @@
 #include "run/merge_output.h"
 
 #include <algorithm>
-#include <cmath>
 #include <filesystem>
 
 #include "terse/compact/map_file.h"
@@ -75,8 +74,8 @@ nlohmann::ordered_json MergeStats(const Merged<Pose>& merged) {
     of_map["links_accepted"] = links.accepted;
     if (map.placement != Placement::kApart) {
       of_map["T_joint_map"] = Numbers(map.T_joint_map);
-      std::vector<double> sigma;
-      for (int d = 0; d < Pose::kDof; ++d) sigma.push_back(std::sqrt(map.covariance(d, d)));
+      const Vector<Pose::kDof> deviations = map.covariance.diagonal().cwiseSqrt();
+      const std::vector<double> sigma(deviations.data(), deviations.data() + Pose::kDof);
       of_map["sigma_of_first_pose"] = sigma;
     }
     out["maps"].push_back(of_map);
