@@ -162,6 +162,46 @@ TYPED_TEST(MergeTest, WrongLinksStayOutAloneAndInGroups) {
   }
 }
 
+// Two long chains that are linked at one end know little of each other at the other: there a wrong link agrees with the
+// joint map, until right ones that came in with it say otherwise.
+TYPED_TEST(MergeTest, ALinkThatCameInGoesAgainWhereOthersContradictIt) {
+  using Pose = TypeParam;
+  const int n = 60;
+  typename Pose::Tangent ahead = Pose::Tangent::Zero();
+  ahead[0] = 1;
+  PoseGraph<Pose> chain;
+  for (int v = 0; v < n; ++v) chain.AddPose({v});
+  for (int v = 0; v + 1 < n; ++v) {
+    RelativePoseFactor<Pose> step;
+    step.from = {v};
+    step.to = {v + 1};
+    step.T_from_to = Pose::Exp(ahead);
+    step.information = 100 * Pose::Jacobian::Identity();
+    chain.AddFactor(step);
+  }
+  const std::vector<MapToMerge<Pose>> maps = {{"a", MapOfGraph(chain)}, {"b", MapOfGraph(chain)}};
+  // Every third link is near the start, and these alone are compared in pairs.
+  std::vector<MapLink<Pose>> links;
+  for (int k = 0; k < 12; ++k) {
+    MapLink<Pose> link;
+    link.to_map = 1;
+    const int at = k % 3 == 0 ? k / 3 : n - 1 - k;
+    link.measured.from = link.measured.to = {at};
+    link.measured.information = 1e4 * Pose::Jacobian::Identity();
+    links.push_back(link);
+  }
+  const std::size_t wrong = 7;
+  links[wrong].measured.T_from_to = Pose::Exp(ahead);
+  MergeOptions<Pose> options = KeepAll<Pose>();
+  options.most_compared = 4;
+  const auto merged = Merge(maps, links, options);
+  for (std::size_t l = 0; l < links.size(); ++l) {
+    EXPECT_EQ(merged.links[l].agreeing, l % 3 == 0 ? 3 : -1);
+    EXPECT_EQ(merged.links[l].verdict, l == wrong ? MapLinkVerdict::kInconsistent : MapLinkVerdict::kAccepted) << l;
+  }
+  EXPECT_LT(merged.chi2, 1e-9);
+}
+
 TYPED_TEST(MergeTest, IdsAreKeptApartOnlyWhereMapsShareThem) {
   using Pose = TypeParam;
   auto split = SplitScene<Pose>(5);
