@@ -4,18 +4,15 @@
 #include <cmath>
 #include <limits>
 #include <map>
-#include <memory>
-#include <set>
 #include <stdexcept>
 
 #include "carry.h"
 #include "merge/joint_ids.h"
+#include "merge/optimal_map.h"
 #include "pose_history.h"
-#include "sparsify/dropped_poses.h"
 #include "terse/compact/compact_pose_slam.h"
 #include "terse/compact/innovation.h"
 #include "terse/compact/link_consistency.h"
-#include "terse/compact/pose_elimination.h"
 #include "terse/compact/thresholds.h"
 #include "terse/core/at.h"
 #include "terse/core/batch_solver.h"
@@ -31,6 +28,7 @@
 namespace terse {
 namespace {
 
+using internal::Absolute;
 using internal::At;
 using std::size_t;
 
@@ -41,39 +39,9 @@ constexpr int kMostReturns = 2;
 // Of the rotation of one link, against points that are metres apart.
 constexpr double kRotationPreference = 1;
 
-// What the absolute measurements of a map are.
-enum class Absolute {
-  kNone,
-  kFrame,    // one pose is held, or has a prior: that is where somebody put the map's origin
-  kPartial,  // they do not determine where the map is
-  kDatum,
-};
-
-template <class Pose>
-std::vector<Pose> ValuesOf(const PoseGraph<Pose>& graph) {
-  std::vector<Pose> values;
-  for (const auto& node : graph.Poses()) values.push_back(*node.T_world_body);
-  return values;
-}
-
 template <class Pose>
 const Pose& ValueOf(const PoseGraph<Pose>& graph, PoseId id) {
   return *graph.Poses()[At(graph.IndexOf(id))].T_world_body;
-}
-
-template <class Pose>
-Absolute KindOfAbsolute(const PoseGraph<Pose>& graph) {
-  std::set<PoseId> held, measured;
-  for (const auto& node : graph.Poses()) {
-    if (node.fixed) held.insert(node.id);
-  }
-  for (const auto& node : graph.Factors()) {
-    if (const auto* pose = std::get_if<PosePriorFactor<Pose>>(&node.factor)) held.insert(pose->pose);
-    if (const auto* position = std::get_if<PositionPriorFactor<Pose>>(&node.factor)) measured.insert(position->pose);
-  }
-  if (held.empty() && measured.empty()) return Absolute::kNone;
-  if (held.size() == 1 && measured.empty()) return Absolute::kFrame;
-  return FindGauge(graph, ValuesOf(graph)).IsDetermined() ? Absolute::kDatum : Absolute::kPartial;
 }
 
 template <class Pose>
@@ -104,12 +72,7 @@ class Merging {
   }
 
  private:
-  // A map with joint ids, at its optimum, without the loops that this contradicts.
-  struct Part {
-    CompactMap<Pose> map;
-    PoseGraph<Pose> graph;
-    std::unique_ptr<Marginals<Pose>> marginals;
-    Absolute absolute = Absolute::kNone;
+  struct Part : internal::OptimalMap<Pose> {  // with joint ids
     bool joined = false;
     Pose T_joint_map;
   };
@@ -127,7 +90,6 @@ class Merging {
   };
 
   void Prepare();
-  void Optimise(Part& part, PlacedMap<Pose>& placed) const;
   void CarryLinks();
   void Compare();
   void Place();
@@ -163,52 +125,6 @@ class Merging {
   Merged<Pose> out_;
 };
 
-// The plain optimum, if no loop contradicts it; else that of truncated least squares, from the estimates of the map.
-template <class Pose>
-void Merging<Pose>::Optimise(Part& part, PlacedMap<Pose>& placed) const {
-  PoseGraph<Pose> graph = internal::GraphOfMap(part.map);
-  const auto solve = [&](const BatchOptions& options) {
-    BatchResult<Pose> result = SolveBatch(graph, ValuesOf(graph), options);
-    if (result.cholesky.Variables() == 0)
-      throw NumericalError("the map " + placed.name + " has no optimum: " + result.message);
-    return result;
-  };
-  BatchOptions options;
-  options.threads = options_.threads;
-  BatchResult<Pose> result = solve(options);
-  const std::vector<FactorId> loops = LoopFactors(graph);
-  const auto contradicts = [&](FactorId id) {
-    const auto& factor = graph.FindFactor(id)->factor;
-    const FactorPoses ends = PosesOf(factor);
-    const auto value = [&](PoseId pose) { return result.T_world_body[At(graph.IndexOf(pose))]; };
-    return FactorChi2(factor, value(ends.first), value(ends.second)) > stated_limit_;
-  };
-  if (std::any_of(loops.begin(), loops.end(), contradicts)) {
-    options.robust.kernel = RobustKernel::kGnc;
-    options.robust.width = std::sqrt(stated_limit_);
-    options.robust_factors = loops;
-    options.graduate = false;
-    result = solve(options);
-    std::set<FactorId> out;
-    auto weight = result.weights.begin();
-    for (const auto& node : graph.Factors()) {
-      if (*weight++ == 0) out.insert(node.id);
-    }
-    placed.loops_out = static_cast<int>(out.size());
-    auto& edges = part.map.edges;
-    edges.erase(std::remove_if(edges.begin(), edges.end(), [&](const auto& e) { return out.count(e.factor) != 0; }),
-                edges.end());
-    for (const FactorId id : out) graph.RemoveFactor(id);
-  }
-  size_t k = 0;
-  for (auto& pose : part.map.poses) {
-    if (pose.kept) pose.T_world_body = result.T_world_body[k++];
-  }
-  part.graph = graph.WithPoses(result.T_world_body);
-  part.marginals = std::make_unique<Marginals<Pose>>(part.graph, ValuesOf(part.graph));
-  part.absolute = KindOfAbsolute(part.graph);
-}
-
 template <class Pose>
 void Merging<Pose>::Prepare() {
   if (given_.size() < 2) throw std::invalid_argument("merging takes two maps or more");
@@ -232,8 +148,9 @@ void Merging<Pose>::Prepare() {
     placed.name = given_[k].name;
     placed.id_offset = offsets[k];
     placed.poses = static_cast<int>(given_[k].map.poses.size());
-    parts_[k].map = internal::WithOffset(given_[k].map, offsets[k]);
-    Optimise(parts_[k], placed);
+    static_cast<internal::OptimalMap<Pose>&>(parts_[k]) = internal::ToOptimum(
+        internal::WithOffset(given_[k].map, offsets[k]), placed.name, stated_limit_, options_.threads);
+    placed.loops_out = parts_[k].loops_out;
     out_.maps.push_back(std::move(placed));
   }
 }
@@ -670,29 +587,12 @@ const char* Name(Placement placement) {
 }
 
 template <class Pose>
-CompactMap<Pose> MapOfGraph(const PoseGraph<Pose>& graph, int threads) {
-  BatchOptions options;
-  options.threads = threads;
-  const BatchResult<Pose> result = SolveBatch(graph, options);
-  if (result.cholesky.Variables() == 0) throw NumericalError("the graph has no optimum: " + result.message);
-  internal::Elimination<Pose> nothing;
-  nothing.graph = graph.WithPoses(result.T_world_body);
-  const std::vector<FactorId> loops = LoopFactors(graph);
-  std::vector<FactorId> holding;
-  for (const auto& node : graph.Factors()) {
-    if (!std::binary_search(loops.begin(), loops.end(), node.id)) holding.push_back(node.id);
-  }
-  return internal::MapOf(nothing.graph, nothing, holding, result.T_world_body);
-}
-
-template <class Pose>
 Merged<Pose> Merge(const std::vector<MapToMerge<Pose>>& maps, const std::vector<MapLink<Pose>>& links,
                    const MergeOptions<Pose>& options) {
   return Merging<Pose>(maps, links, options).Run();
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                        \
-  template CompactMap<Pose> MapOfGraph(const PoseGraph<Pose>&, int);                                   \
   template Merged<Pose> Merge(const std::vector<MapToMerge<Pose>>&, const std::vector<MapLink<Pose>>&, \
                               const MergeOptions<Pose>&);
 TERSE_INSTANTIATE(SE2)
