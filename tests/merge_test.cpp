@@ -127,7 +127,7 @@ TYPED_TEST(MergeTest, TwoMapsAndTheirLinksAreTheWholeGraph) {
 
 TYPED_TEST(MergeTest, WrongLinksStayOutAloneAndInGroups) {
   using Pose = TypeParam;
-  for (const std::uint64_t seed : {2, 3, 4}) {
+  for (const unsigned seed : {2u, 3u, 4u}) {
     auto split = SplitScene<Pose>(seed, 3);
     Random rng(seed);
     std::vector<MapLink<Pose>> links = split.links;
