@@ -6,40 +6,29 @@
 #include <set>
 #include <stdexcept>
 
+#include "map_graph.h"
 #include "retired_chains.h"
 #include "terse/compact/information.h"
 #include "terse/compact/pose_removal.h"
 #include "terse/core/at.h"
+#include "terse/core/pose_values.h"
 #include "terse/covariance/marginals.h"
 
 namespace terse {
 namespace {
 
 using internal::At;
+using internal::ValuesOf;
 using std::size_t;
 
 template <class Pose>
 PoseGraph<Pose> GraphOf(const CompactMap<Pose>& map, const std::vector<FactorId>& left_out) {
-  PoseGraph<Pose> graph;
-  for (const auto& pose : map.poses) {
-    if (pose.kept) graph.AddPose(pose.id, pose.T_world_body);
-  }
-  for (const auto& fixed : map.fixed) {
-    graph.SetPose(fixed.pose, fixed.T_world_body);
-    graph.SetFixed(fixed.pose, true);
-  }
+  PoseGraph<Pose> graph = internal::KeptPoses(map);
   for (const auto& edge : map.edges) {
     if (!std::binary_search(left_out.begin(), left_out.end(), edge.factor)) graph.AddFactor(edge.measured);
   }
   for (const auto& prior : map.priors) graph.AddFactor(prior.measured);
   return graph;
-}
-
-template <class Pose>
-std::vector<Pose> ValuesOf(const PoseGraph<Pose>& graph) {
-  std::vector<Pose> values;
-  for (const auto& node : graph.Poses()) values.push_back(*node.T_world_body);
-  return values;
 }
 
 // Of those that retired in favour of a pose the farthest from it stand for all: they are the first not to be known

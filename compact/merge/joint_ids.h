@@ -16,8 +16,4 @@ std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*
 template <class Pose>
 CompactMap<Pose> WithOffset(const CompactMap<Pose>& map, std::int64_t offset);
 
-// Kept poses at their estimates, fixed ones where they are held, and all that is measured, by factor.
-template <class Pose>
-PoseGraph<Pose> GraphOfMap(const CompactMap<Pose>& map);
-
 }  // namespace terse::internal

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <set>
 
-#include "merge/joint_ids.h"
+#include "map_graph.h"
 #include "sparsify/dropped_poses.h"
 #include "terse/compact/merge.h"
 #include "terse/compact/pose_elimination.h"
@@ -12,19 +12,13 @@
 #include "terse/core/batch_solver.h"
 #include "terse/core/error.h"
 #include "terse/core/gauge.h"
+#include "terse/core/pose_values.h"
 #include "terse/core/residual.h"
 
 namespace terse::internal {
 namespace {
 
 using std::size_t;
-
-template <class Pose>
-std::vector<Pose> ValuesOf(const PoseGraph<Pose>& graph) {
-  std::vector<Pose> values;
-  for (const auto& node : graph.Poses()) values.push_back(*node.T_world_body);
-  return values;
-}
 
 template <class Pose>
 Absolute KindOfAbsolute(const PoseGraph<Pose>& graph) {
@@ -87,8 +81,8 @@ OptimalMap<Pose> ToOptimum(CompactMap<Pose> map, const std::string& name, double
     if (pose.kept) pose.T_world_body = result.T_world_body[k++];
   }
   part.graph = graph.WithPoses(result.T_world_body);
-  part.marginals = std::make_unique<Marginals<Pose>>(part.graph, ValuesOf(part.graph));
   part.absolute = KindOfAbsolute(part.graph);
+  part.marginals = std::make_unique<Marginals<Pose>>(part.graph, std::move(result));
   return part;
 }
 

@@ -200,11 +200,6 @@ template <int B>
 int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const std::vector<int>& parents,
                                      const std::vector<Front<B>>& pending, const BlockSystem<B>& system,
                                      const FrontTree<B>& tree, const std::vector<double>& damping, double& flops) {
-  const auto take_buffers = [&](Front<B>& front) {
-    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
-    if (front.panel.size() < rows * At(front.Columns())) front.panel = pool_.Take(rows * At(front.Columns()));
-    if (front.update.size() < n * n) front.update = pool_.Take(n * n);
-  };
   const Sources from{system, tree, pending, damping};
   double total = 0, updates = 0;
   for (const Front<B>* front : fronts) {
@@ -213,7 +208,15 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
   }
   const int count = static_cast<int>(fronts.size());
   const ChildLists children = drops_updates_ && updates > kLeastDropped ? ChildLists(parents) : ChildLists();
-  has_dropped_ = children.IsUsed();
+  const bool drops = children.IsUsed();
+  has_dropped_ = has_dropped_ || drops;  // if this fails the tree is what it was before, or not usable
+  // The pool is nobody's who works beside others.
+  const auto take = [&](size_t size) { return drops ? std::vector<double>(size) : pool_.Take(size); };
+  const auto take_buffers = [&](Front<B>& front) {
+    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
+    if (front.panel.size() < rows * At(front.Columns())) front.panel = take(rows * At(front.Columns()));
+    if (front.update.size() < n * n) front.update = take(n * n);
+  };
   std::atomic<int> end(count);  // the first front that failed, or all
   std::vector<int> failed(fronts.size(), -1);
   const auto factor = [&](int k, std::vector<int>& row_of, bool parallel) {
@@ -223,27 +226,21 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
     children.ForEach(k, [&](int child) { std::vector<double>().swap(fronts[At(child)]->update); });
     while (failed[At(k)] >= 0 && k < seen && !end.compare_exchange_weak(seen, k)) continue;
   };
-  // The pool is nobody's who works beside others.
-  const auto allocate = [](Front<B>& front) {
-    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
-    if (front.panel.size() < rows * At(front.Columns())) front.panel.resize(rows * At(front.Columns()));
-    if (front.update.size() < n * n) front.update.resize(n * n);
-  };
   if (threads_ > 1 && total > kParallelFlops) {
     for (Front<B>* front : fronts) {
-      if (!has_dropped_) take_buffers(*front);
+      if (!drops) take_buffers(*front);
     }
     thread_row_of_.resize(At(threads_));
     for (auto& row_of : thread_row_of_) row_of.resize(row_of_.size());
     WithThreads(threads_, [&] {
       ForEachBottomUp(parents, [&](int k) {
-        if (has_dropped_) allocate(*fronts[At(k)]);
+        if (drops) take_buffers(*fronts[At(k)]);
         factor(k, thread_row_of_[ThreadIndex()], true);
       });
     });
-  } else if (has_dropped_) {  // a subtree at a time, so that few update matrices wait
+  } else if (drops) {  // a subtree at a time, so that few update matrices wait
     for (const int k : children.Postorder()) {
-      allocate(*fronts[At(k)]);
+      take_buffers(*fronts[At(k)]);
       factor(k, row_of_, false);
     }
   } else {
@@ -253,7 +250,9 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
     }
   }
   for (int k = 0; k < end; ++k) flops += FactorFlops(fronts[At(k)]->Rows(), fronts[At(k)]->Columns());
-  return end < count ? failed[At(end)] : -1;
+  if (end < count) return failed[At(end)];
+  has_dropped_ = drops;
+  return -1;
 }
 
 template <int B>

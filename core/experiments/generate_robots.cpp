@@ -97,13 +97,19 @@ class Robots {
       if (random_.Uniform() >= options_.link_probability) continue;
       const Place to{robot, k};
       const Cell here = CellOf(TrueAt(to));
-      std::vector<Place> near;
+      std::vector<const std::vector<Place>*> near;
+      std::size_t count = 0;
       for (const Cell step : {Cell{0, 0}, Cell{1, 0}, Cell{-1, 0}, Cell{0, 1}, Cell{0, -1}}) {
         const auto found = seen_.find({here[0] + step[0], here[1] + step[1]});
-        if (found != seen_.end()) near.insert(near.end(), found->second.begin(), found->second.end());
+        if (found == seen_.end()) continue;
+        near.push_back(&found->second);
+        count += found->second.size();
       }
-      if (near.empty()) continue;
-      const Place from = near[Below(random_, near.size())];
+      if (count == 0) continue;
+      std::size_t which = Below(random_, count);
+      auto places = near.begin();
+      for (; which >= (*places)->size(); ++places) which -= (*places)->size();
+      const Place from = (**places)[which];
       data_.links.push_back(Measure(from, to, TrueAt(from).Inverse() * TrueAt(to), false, random_));
     }
     for (long k = 0; k < options_.poses; ++k) seen_[CellOf(TrueAt({robot, k}))].push_back({robot, k});

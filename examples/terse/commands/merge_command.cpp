@@ -78,8 +78,8 @@ void WarnOf(const nlohmann::ordered_json& stats) {
   for (const auto& map : stats["maps"]) {
     const std::string name = map["name"].get<std::string>();
     if (map["placement"] == Name(Placement::kApart)) {
-      std::cerr << "terse: warning: " << name << " is not in the joint map: no two of its " << map["links"]
-                << " links agree, and its absolute measurements do not say where it is\n";
+      std::cerr << "terse: warning: " << name << " is not in the joint map: neither its " << map["links"]
+                << " links nor absolute measurements hold it to the others\n";
     }
     if (map["placement"] == Name(Placement::kUnconfirmed)) {
       std::cerr << "terse: warning: a single link, which nothing confirms, holds " << name << "\n";
@@ -162,10 +162,10 @@ void AddMergeCommand(CLI::App& app) {
   CLI::App* command = app.add_subcommand(
       "merge", "Join maps of several sessions or robots whose start relative to each other is unknown");
   command
-      ->add_option(
-          "MAP", options->paths,
-          "Two or more: folders of compact, kitti or merge, or graph files (g2o, TORO or iSAM). The ids of the "
-          "first stay, and its robot can go on in the joint map")
+      ->add_option("MAP", options->paths,
+                   "Two or more: folders of compact, kitti, sparsify or merge, or graph files (g2o, TORO or iSAM). The "
+                   "ids of the "
+                   "first stay, and its robot can go on in the joint map")
       ->required()
       ->type_name("MAP...");
   command

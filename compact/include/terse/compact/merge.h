@@ -3,7 +3,7 @@
 // say so, some of which may be wrong, or absolute measurements (GNSS) do.
 //
 //     const std::vector<MapToMerge<SE2>> maps = {{"a", a}, {"b", b}};  // CompactMap; MapOfGraph makes one of a graph
-//     const Merged<SE2> joint = Merge(maps, ReadMapLinks<SE2>("links.txt", {"a", "b"}));
+//     const Merged<SE2> joint = Merge(maps, ReadMapLinks("links.txt", maps));  // map_links.h
 //     auto slam = CompactPoseSlam<SE2>::Restore(joint.map, options);  // the robot of maps[0] goes on
 //
 // 1. Each map is brought to its optimum. Loops of its own that it contradicts there stay out, as its kernel had it.
