@@ -202,6 +202,27 @@ TYPED_TEST(MergeTest, ALinkThatCameInGoesAgainWhereOthersContradictIt) {
   EXPECT_LT(merged.chi2, 1e-9);
 }
 
+// Standard deviations of a hundred times what the noise is, as a unit matrix has them: wrong links agree as stated.
+TYPED_TEST(MergeTest, CovariancesThatAreTooCautiousDoNotLetWrongLinksIn) {
+  using Pose = TypeParam;
+  auto split = SplitScene<Pose>(10, 2, 60);
+  const double weaker = 1e-4;
+  for (auto& map : split.maps) {
+    for (auto& edge : map.map.edges) edge.measured.information *= weaker;
+  }
+  for (auto& link : split.links) link.measured.information *= weaker;
+  const std::size_t right = split.links.size();
+  internal::Random rng(10);
+  for (std::size_t k = 0; k < right; k += 3) split.links.push_back(WrongLink(split.links[k], split.size, rng));
+  const auto merged = Merge(split.maps, split.links, KeepAll<Pose>());
+  std::size_t wrong_in = 0, right_in = 0;
+  for (std::size_t l = 0; l < split.links.size(); ++l) {
+    if (merged.links[l].verdict == MapLinkVerdict::kAccepted) ++(l < right ? right_in : wrong_in);
+  }
+  EXPECT_EQ(wrong_in, 0u) << "of " << split.links.size() - right;
+  EXPECT_EQ(right_in, right);
+}
+
 TYPED_TEST(MergeTest, IdsAreKeptApartOnlyWhereMapsShareThem) {
   using Pose = TypeParam;
   auto split = SplitScene<Pose>(5);

@@ -36,10 +36,9 @@ JointGraph<Pose>::JointGraph(const std::vector<OptimalMap<Pose>>& maps, const st
       placement_(placement),
       stated_limit_(stated_limit),
       threads_(threads),
-      limit_(stated_limit),
+      limit_(stated_limit * placement.limit_share),
       states_(links.size()),
       joint_factor_(maps.size()) {
-  for (const double d : placement.typical) scale_.Add(d);
   for (const size_t l : placement.members) states_[l].in = true;
   for (const size_t l : placement.holding) states_[l].holds = true;
   for (size_t k = 1; k < maps.size(); ++k) {
@@ -117,9 +116,9 @@ bool JointGraph<Pose>::LetIn(BatchResult<Pose> result, bool is_first) {
   for (size_t l = 0; l < links_.size(); ++l) {
     if (states_[l].in || !AreJoined(l)) continue;
     outside.emplace_back(l, InnovationOf(l, marginals));
-    if (is_first && outside.back().second <= stated_limit_) scale_.Add(outside.back().second);
+    if (is_first && outside.back().second <= limit_) scale_.Add(outside.back().second);
   }
-  limit_ = scale_.Limit(stated_limit_, Pose::kDof);
+  limit_ = std::min(limit_, scale_.Limit(stated_limit_, Pose::kDof));
   bool any = false;
   for (const auto& [l, innovation] : outside) {
     if (innovation > limit_ || states_[l].returns >= kMostReturns) continue;

@@ -9,13 +9,16 @@
 #include "terse/compact/innovation.h"
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
-#include "terse/core/innovation_scale.h"
 
 namespace terse::internal {
 namespace {
 
 using std::size_t;
 
+// Of LeastShare: how it goes down, and where it ends. Maps drift by more than noise, so that all links need more room
+// than those that are compared.
+constexpr double kStep = 4, kReserve = 16, kLeastShare = 1e-5;
+constexpr size_t kLeastSet = 4;
 // Starts of the greedy search.
 constexpr size_t kMostStarts = 64;
 
@@ -92,20 +95,25 @@ class RelativePoses {
   MatrixX joint_;
 };
 
-// Links without any that agree are left out.
-std::vector<double> TypicalDistances(const std::vector<std::vector<double>>& distance, double most) {
-  std::vector<double> typical, near;
-  for (size_t x = 0; x < distance.size(); ++x) {
-    near.clear();
-    for (size_t y = 0; y < distance.size(); ++y) {
-      if (x != y && distance[x][y] <= most) near.push_back(distance[x][y]);
-    }
-    if (near.empty()) continue;
-    const auto middle = near.begin() + static_cast<std::ptrdiff_t>(near.size() / 2);
-    std::nth_element(near.begin(), middle, near.end());
-    typical.push_back(*middle);
+using Distances = std::vector<std::vector<double>>;
+
+std::vector<std::vector<char>> AgreeWithin(const Distances& distance, double most) {
+  const size_t n = distance.size();
+  std::vector<std::vector<char>> agrees(n, std::vector<char>(n, 0));
+  for (size_t x = 0; x < n; ++x) {
+    for (size_t y = 0; y < n; ++y) agrees[x][y] = x != y && distance[x][y] <= most ? 1 : 0;
   }
-  return typical;
+  return agrees;
+}
+
+// Pairs of right links are normal: within a 16th of the limit as stated no set half as large is left if that is right.
+double LeastShare(const Distances& distance, double stated) {
+  const std::vector<char> all(distance.size(), 1);
+  const auto size_within = [&](double share) { return LargeClique(AgreeWithin(distance, share * stated), all).size(); };
+  const size_t least = std::max(kLeastSet, (size_within(1) + 1) / 2);
+  double share = 1;
+  while (share > kLeastShare && size_within(share / kStep) >= least) share /= kStep;
+  return share;
 }
 
 }  // namespace
@@ -148,7 +156,7 @@ AgreeingLinks FindAgreeing(const std::vector<InterMapLink<Pose>>& links, const M
     in_b.push_back(links[At(l)].in_b);
   }
   const RelativePoses<Pose> of_a(in_a, a), of_b(in_b, b);
-  std::vector<std::vector<double>> distance(n, std::vector<double>(n, 0));
+  Distances distance(n, std::vector<double>(n, 0));
   for (size_t x = 0; x < n; ++x) {
     const InterMapLink<Pose>& first = links[At(compared[x])];
     for (size_t y = 0; y < x; ++y) {
@@ -159,14 +167,9 @@ AgreeingLinks FindAgreeing(const std::vector<InterMapLink<Pose>>& links, const M
     }
   }
   const double stated = ChiSquareQuantile(quantile, Pose::kDof);
-  out.typical = TypicalDistances(distance, stated);
-  InnovationScale scale;
-  for (const double d : out.typical) scale.Add(d);
-  const double most = scale.Limit(stated, Pose::kDof);
-  std::vector<std::vector<char>> agrees(n, std::vector<char>(n, 0));
-  for (size_t x = 0; x < n; ++x) {
-    for (size_t y = 0; y < n; ++y) agrees[x][y] = x != y && distance[x][y] <= most ? 1 : 0;
-  }
+  const double least = LeastShare(distance, stated);
+  out.limit_share = std::min(1.0, kReserve * least);
+  const std::vector<std::vector<char>> agrees = AgreeWithin(distance, std::min(1.0, kStep * least) * stated);
   std::vector<char> allowed(n, 1);
   const std::vector<int> members = LargeClique(agrees, allowed);
   for (const int m : members) {

@@ -26,6 +26,7 @@ struct Bond {
   Placement by = Placement::kLinks;
   std::vector<int> members;  // links
   int strength = 0;
+  double limit_share = 1;
 };
 
 template <class Pose>
@@ -47,6 +48,7 @@ class Placing {
     std::vector<Bond> bonds = BondsOfLinks(pair_quantile, most_compared);
     AddBondsOfDatum(bonds);
     Place(std::move(bonds));
+    if (out_.members.empty()) out_.limit_share = 1;
     return std::move(out_);
   }
 
@@ -82,11 +84,11 @@ std::vector<Bond> Placing<Pose>::BondsOfLinks(double pair_quantile, int most_com
     const AgreeingLinks found =
         FindAgreeing(from_a, knowledge(pair.first), knowledge(pair.second), pair_quantile, most_compared);
     for (size_t k = 0; k < links.size(); ++k) out_.agreeing[At(links[k])] = found.agreeing[k];
-    out_.typical.insert(out_.typical.end(), found.typical.begin(), found.typical.end());
     const bool is_single = links.size() == 1;
     const int strength = static_cast<int>(found.members.size());
     if (!is_single && (strength < 2 || found.rival >= strength)) continue;
-    Bond bond{pair.first, pair.second, is_single ? Placement::kUnconfirmed : Placement::kLinks, {}, strength};
+    Bond bond{pair.first, pair.second, is_single ? Placement::kUnconfirmed : Placement::kLinks,
+              {},         strength,    found.limit_share};
     for (const int m : found.members) bond.members.push_back(links[At(m)]);
     bonds.push_back(std::move(bond));
   }
@@ -99,7 +101,7 @@ void Placing<Pose>::AddBondsOfDatum(std::vector<Bond>& bonds) const {
   int first = -1;
   for (int k = 0; k < static_cast<int>(maps_.size()); ++k) {
     if (maps_[At(k)].absolute != Absolute::kDatum) continue;
-    if (first >= 0) bonds.push_back({first, k, Placement::kDatum, {}, std::numeric_limits<int>::max()});
+    if (first >= 0) bonds.push_back({first, k, Placement::kDatum, {}, std::numeric_limits<int>::max(), 1});
     if (first < 0) first = k;
   }
 }
@@ -153,6 +155,7 @@ void Placing<Pose>::ChooseReference(const std::vector<size_t>& group_of) {
 template <class Pose>
 void Placing<Pose>::Hold(const Bond& bond) {
   if (bond.members.empty()) return;
+  out_.limit_share = std::max(out_.limit_share, bond.limit_share);
   out_.members.insert(out_.members.end(), bond.members.begin(), bond.members.end());
   const int holds = *std::max_element(bond.members.begin(), bond.members.end(),
                                       [&](int x, int y) { return out_.agreeing[At(x)] < out_.agreeing[At(y)]; });

@@ -17,12 +17,14 @@ struct CarriedLink {
 
 template <class Pose>
 struct MapPlacement {
-  std::vector<Placement> by;         // by map
-  std::vector<Pose> T_joint_map;     // by map: of its own frame
-  std::size_t reference = 0;         // the map whose frame the joint one is
-  bool has_datum = false;            // absolute measurements say where that is
-  std::vector<int> agreeing;         // by link (AgreeingLinks)
-  std::vector<double> typical;       // likewise, of all pairs of maps
+  std::vector<Placement> by;      // by map
+  std::vector<Pose> T_joint_map;  // by map: of its own frame
+  std::size_t reference = 0;      // the map whose frame the joint one is
+  bool has_datum = false;         // absolute measurements say where that is
+  std::vector<int> agreeing;      // by link (AgreeingLinks)
+  // Of the limits that covariances as stated lead to, what the links have left of it; of the pair of maps that is put
+  // together with the largest.
+  double limit_share = 0;
   std::vector<std::size_t> members;  // the links by which maps are put together
   std::vector<std::size_t> holding;  // one of them for each pair of maps
   bool IsJoined(std::size_t map) const { return by[map] != Placement::kApart; }

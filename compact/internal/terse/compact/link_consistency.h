@@ -21,9 +21,8 @@ struct AgreeingLinks {
   std::vector<int> members;   // by position in what was asked, ascending; each agrees with each other
   std::vector<int> agreeing;  // with how many of those compared; -1: was not compared
   int rival = 0;              // the size of the largest set that was found without any of these
-  // Of each that was compared: the median squared distance from those that it agrees with as the covariances are
-  // stated.
-  std::vector<double> typical;
+  // Of a limit on squared innovations that covariances as stated lead to, the share that links need.
+  double limit_share = 1;
 };
 
 // The values at which the marginals are, by pose.
@@ -33,10 +32,11 @@ struct MapKnowledge {
   const PoseGraph<Pose>* graph;  // at its optimum
 };
 
-// Two agree if the squared distance is within this quantile of its chi-square distribution, or within less where
-// distances show that the covariances are too cautious (innovation_scale.h). At most `most_compared` links are
-// compared, spread over all. O(most_compared^2) and one joint covariance of their poses in either map. The largest set
-// is searched for greedily, from the links that agree with most.
+// Two agree if the squared distance is within this quantile of its chi-square distribution. Where covariances are too
+// cautious links agree that lead anywhere; but the right ones go on agreeing far below that limit, and it shrinks to
+// four times the least at which a set half as large is left (down to a hundred-thousandth). At most `most_compared`
+// links are compared, spread over all. O(most_compared^2) and one joint covariance of their poses in either map. The
+// largest set is searched for greedily, from the links that agree with most.
 template <class Pose>
 AgreeingLinks FindAgreeing(const std::vector<InterMapLink<Pose>>& links, const MapKnowledge<Pose>& a,
                            const MapKnowledge<Pose>& b, double quantile, int most_compared);
