@@ -11,6 +11,7 @@ package_packages = dpkg-dev file gzip
 docs_packages = doxygen libjs-katex
 python_packages = pybind11-dev python3-dev python3-numpy python3-matplotlib
 plot_packages = librsvg2-bin
+mpi_packages = libpetsc-real-dev libopenmpi-dev openmpi-bin pkg-config iproute2
 bench_packages = libbenchmark-dev libceres-dev
 # Where node comes from elsewhere, Debian's npm would conflict with it.
 node_packages = $(if $(shell command -v npm),,nodejs npm)
@@ -19,24 +20,37 @@ test_packages = $(docs_packages) $(python_packages) $(package_packages) $(plot_p
   python3-pytest python3-venv valgrind mypy man-db bash-completion pkg-config
 sources = $(shell find $(wildcard lie core covariance compact frontend examples tests python) -name '*.h' -o -name '*.cpp')
 
-.PHONY: all demo test python with-python docs bench bench-docs instructions-update micro-bench consistency-docs compact-docs outliers-docs protocol-docs sparsify-docs report-page \
+.PHONY: all demo test mpi with-mpi python with-python docs bench bench-docs instructions-update micro-bench consistency-docs compact-docs outliers-docs protocol-docs sparsify-docs report-page \
   readme-picture install package asan fuzz tsan soak format format-check tidy deps clean help
 .DEFAULT_GOAL := all
 
-# With the Python package where it is switched on, which `make install` and `make package` then take along.
+# With the Python package and terse-mpi where they are switched on, which `make install` and `make package` then take along.
 all: build/build.ninja ## build the command, build/bin/terse
 	@cmake --build build -j $(JOBS) --target bin/terse \
-	  $$(grep -qx 'TERSE_BUILD_PYTHON:BOOL=ON' build/CMakeCache.txt && echo terse_python)
+	  $$(grep -qx 'TERSE_BUILD_PYTHON:BOOL=ON' build/CMakeCache.txt && echo terse_python) \
+	  $$(grep -qx 'TERSE_BUILD_DISTRIBUTED:BOOL=ON' build/CMakeCache.txt && echo terse_mpi)
 
 demo: all ## build, then run the demonstration
 	@examples/demo.sh
 
-test: with-python ## build everything and run the tests
+test: with-python with-mpi ## build everything and run the tests
 	@.ci/packages $(test_packages)
 	@cmake -S . -B build >/dev/null # finds what was just installed
 	@cmake --build build -j $(JOBS)
 	@ctest --test-dir build --output-on-failure -j $(JOBS) --output-junit test-results.xml; status=$$?; \
 	  echo "Results: build/test-results.xml, output: build/Testing/Temporary/LastTest.log"; exit $$status
+
+mpi: with-mpi ## build build/bin/terse-mpi, which solves over several processes; installs PETSc and Open MPI
+	@grep -qx 'TERSE_BUILD_DISTRIBUTED:BOOL=ON' build/CMakeCache.txt || { echo "MPI or PETSc is missing: see above" >&2; exit 1; }
+	@cmake --build build -j $(JOBS) --target terse_mpi
+	@echo "To use it: mpirun -n 2 build/bin/terse-mpi solve FILE   (docs/howto/mpi.md)"
+
+# Where there is neither, the tests of it are skipped.
+with-mpi: build/build.ninja
+	@.ci/packages $(mpi_packages)
+	@grep -qx 'TERSE_BUILD_DISTRIBUTED:BOOL=ON' build/CMakeCache.txt || \
+	  cmake -S . -B build -D TERSE_BUILD_DISTRIBUTED=ON >/dev/null || \
+	  { echo "No MPI or no PETSc: terse-mpi is not built, its tests are skipped"; cmake -S . -B build -D TERSE_BUILD_DISTRIBUTED=OFF >/dev/null; }
 
 python: with-python ## build the Python package, build/python/terse; PYTHON=/path/to/python3 for another interpreter
 	@cmake --build build -j $(JOBS) --target terse_python
@@ -170,7 +184,7 @@ build-tsan/build.ninja: CMakePresets.json | deps
 	@cmake --preset tsan >/dev/null && touch $@
 
 build-tidy/build.ninja: CMakePresets.json | deps
-	@.ci/packages clang-tidy
+	@.ci/packages clang-tidy $(mpi_packages)
 	@cmake --preset tidy >/dev/null && touch $@
 
 build-bench/build.ninja: CMakePresets.json | deps

@@ -1,5 +1,5 @@
 # What `find_package(terse CONFIG)` reads: terse::lie, terse::core, terse::covariance, terse::compact, terse::terse
-# for all of these, and terse::frontend where OpenCV is found. For pkg-config: terse and terse-frontend. SuiteSparse is
+# for all of these, and terse::frontend where OpenCV is found. terse::distributed, if it was built, by COMPONENTS. For pkg-config: terse and terse-frontend. SuiteSparse is
 # linked inside core and does not show.
 include(CMakePackageConfigHelpers)
 set(terse_cmakedir ${CMAKE_INSTALL_LIBDIR}/cmake/terse)
@@ -8,6 +8,9 @@ install(TARGETS terse EXPORT terseTargets)
 install(EXPORT terseTargets NAMESPACE terse:: DESTINATION ${terse_cmakedir})
 if(TARGET terse_frontend)
   install(EXPORT terseFrontendTargets NAMESPACE terse:: DESTINATION ${terse_cmakedir})
+endif()
+if(TARGET terse_distributed)
+  install(EXPORT terseDistributedTargets NAMESPACE terse:: DESTINATION ${terse_cmakedir})
 endif()
 configure_package_config_file(cmake/terseConfig.cmake.in ${PROJECT_BINARY_DIR}/terseConfig.cmake
                               INSTALL_DESTINATION ${terse_cmakedir})

@@ -11,6 +11,13 @@ foreach(folder ${modules})
   file(REMOVE_RECURSE ${versioned})
 endforeach()
 
+# What needs MPI is not for everyone who wants the command; it is for those who build it.
+file(GLOB distributed ${root}/bin/terse-mpi ${root}/lib/libterse_distributed.* ${root}/include/terse/distributed
+     ${root}/lib/cmake/terse/terseDistributed*)
+if(distributed)
+  file(REMOVE_RECURSE ${distributed})
+endif()
+
 # The loader looks into /usr/lib anyway.
 file(GLOB binaries ${root}/bin/* ${root}/lib/*.so* ${root}/lib/python3/dist-packages/terse/*.so)
 foreach(file ${binaries})

@@ -5,6 +5,7 @@
 #include "terse/core/error.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/number_text.h"
+#include "terse/core/vertex_line.h"
 
 namespace terse {
 namespace {
@@ -119,6 +120,13 @@ Line& AddToroInformation(Line& line, const Matrix<6, 6>& information) { return l
 }  // namespace
 
 template <class Pose>
+void WriteVertexLine(PoseId id, const Pose& T_world_body, std::ostream& out) {
+  Line line(kIsPlanar<Pose> ? "VERTEX_SE2" : "VERTEX_SE3:QUAT");
+  line.Add(id);
+  AddPose(line, T_world_body).WriteTo(out);
+}
+
+template <class Pose>
 void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path, RotationInformation rotation_information,
               const std::string& comment) {
   if (comment.find_first_of("\r\n") != std::string::npos) {
@@ -131,9 +139,7 @@ void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path, RotationInf
   if (!kIsPlanar<Pose> && HasPosePrior(graph)) out << "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n";
   for (const auto& node : graph.Poses()) {
     if (!node.T_world_body) continue;
-    Line line(kIsPlanar<Pose> ? "VERTEX_SE2" : "VERTEX_SE3:QUAT");
-    line.Add(node.id);
-    AddPose(line, *node.T_world_body).WriteTo(out);
+    WriteVertexLine(node.id, *node.T_world_body, out);
   }
   for (const auto& node : graph.Poses()) {
     if (node.fixed) Line("FIX").Add(node.id).WriteTo(out);
@@ -168,6 +174,7 @@ void WriteToro(const PoseGraph<Pose>& graph, const std::string& path) {
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                      \
+  template void WriteVertexLine<Pose>(PoseId, const Pose&, std::ostream&);                                           \
   template void WriteG2o<Pose>(const PoseGraph<Pose>&, const std::string&, RotationInformation, const std::string&); \
   template void WriteToro<Pose>(const PoseGraph<Pose>&, const std::string&);
 TERSE_INSTANTIATE(SE2)

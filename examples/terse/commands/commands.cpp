@@ -28,10 +28,14 @@ std::size_t EditDistance(const std::string& a, const std::string& b) {
 
 }  // namespace
 
-void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
+void AddRotationInformationOption(CLI::App& subcommand, ReadOptions& options) {
   AddChoice(subcommand, "--rotation-information", options.rotation_information, Choices<RotationInformation>(),
             "What the rotation part of EDGE_SE3:QUAT information in the input means: of the quaternion's vector part "
             "(g2o's definition) or of the rotation vector (as GTSAM and Ceres read it)");
+}
+
+void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
+  AddRotationInformationOption(subcommand, options);
   subcommand.add_flag("--repair-information", options.repair_information,
                       "Clamp the eigenvalues of information matrices that are not positive definite");
 }

@@ -43,6 +43,8 @@ void AddPlotCommand(CLI::App& app);
 
 // --rotation-information and --repair-information, for every subcommand that reads a graph.
 void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
+// The first alone.
+void AddRotationInformationOption(CLI::App& subcommand, ReadOptions& options);
 
 // --robust and --robust-width, for every subcommand that optimises.
 CLI::Option* AddRobustOptions(CLI::App& subcommand, RobustOptions& options);

@@ -1,11 +1,11 @@
 #include <algorithm>
-#include <charconv>
 #include <iostream>
 #include <set>
 
 #include "commands/commands.h"
 #include "commands/convention_options.h"
 #include "commands/output_paths.h"
+#include "commands/pose_ids.h"
 #include "commands/verbose.h"
 #include "run/progress.h"
 #include "run/run_statistics.h"
@@ -34,26 +34,6 @@ struct CovarianceCommandOptions {
   bool joint = false, solve = false, json = false, quiet = false;
   LogSink log;
 };
-
-PoseId ParseId(const std::string& text, const std::string& option) {
-  PoseId id;
-  const char* end = text.data() + text.size();
-  const auto [stop, error] = std::from_chars(text.data(), end, id.value);
-  if (error != std::errc() || stop != end) {
-    throw CLI::ValidationError(option, "'" + text + "' is not the id of a pose, which is a whole number");
-  }
-  return id;
-}
-
-std::vector<PoseId> ParseIds(const std::string& text, const std::string& option) {
-  std::vector<PoseId> ids;
-  for (std::size_t start = 0; start <= text.size();) {
-    const std::size_t comma = std::min(text.find(',', start), text.size());
-    ids.push_back(ParseId(text.substr(start, comma - start), option));
-    start = comma + 1;
-  }
-  return ids;
-}
 
 // What can be told without the file.
 void CheckUsage(const CovarianceCommandOptions& options) {

@@ -48,6 +48,9 @@ struct ModelFlops {
 void WriteStepsRow(const ReplayStep& step, std::size_t poses, std::size_t factors, const ModelFlops& model,
                    std::ostream& out);
 
+// Of this process, so far.
+double PeakRssMegabytes();
+
 // A clock for one phase.
 double SecondsNow();
 

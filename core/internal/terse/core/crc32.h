@@ -7,7 +7,8 @@
 
 namespace terse {
 
-inline std::uint32_t Crc32(std::string_view bytes) {
+// Of bytes that follow those whose checksum is `before`.
+inline std::uint32_t Crc32(std::string_view bytes, std::uint32_t before = 0) {
   static const std::array<std::uint32_t, 256> table = [] {
     std::array<std::uint32_t, 256> out{};
     for (std::uint32_t k = 0; k < out.size(); ++k) {
@@ -17,7 +18,7 @@ inline std::uint32_t Crc32(std::string_view bytes) {
     }
     return out;
   }();
-  std::uint32_t crc = 0xFFFFFFFFu;
+  std::uint32_t crc = ~before;
   for (const char c : bytes) crc = (crc >> 8) ^ table[(crc ^ static_cast<unsigned char>(c)) & 255u];
   return ~crc;
 }

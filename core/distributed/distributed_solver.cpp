@@ -1,0 +1,253 @@
+#include "terse/distributed/distributed_solver.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include "distributed/petsc_system.h"
+#include "support/stopwatch.h"
+#include "terse/core/gauge.h"
+#include "terse/core/linear_factor.h"
+#include "terse/core/number_text.h"
+#include "terse/core/residual.h"
+
+namespace terse {
+namespace {
+
+using internal::PetscSystem;
+using internal::ScopedTimer;
+
+// One solver run on one rank.
+template <class Pose>
+class DistributedRun {
+ public:
+  static constexpr int B = Pose::kDof;
+
+  DistributedRun(MPI_Comm ranks, const GraphShare<Pose>& share, std::vector<Pose> initial,
+                 const DistributedOptions& options)
+      : ranks_(ranks), share_(share), options_(options), system_(ranks, B, share.begin, share.end, PairsOf(share)) {
+    result_.T_world_body = std::move(initial);
+    for (const auto& term : share.relative) W_.push_back(SquareRootInformation(term.factor));
+  }
+
+  DistributedResult<Pose> Execute() && {
+    result_.chi2 = Cost(result_.T_world_body, cost_);
+    if (!std::isfinite(cost_)) {
+      throw RankError(RankError::Kind::kNumerical, "chi2 is not finite at the initial values");
+    }
+    while (result_.iterations < options_.max_iterations && !done_) {
+      ++result_.iterations;
+      TakeStep();
+      if (options_.progress) options_.progress(result_.iterations, result_.chi2);
+    }
+    if (!options_.covariances_of.empty()) SolveForCovariances();
+    return std::move(result_);
+  }
+
+ private:
+  using Block = Eigen::Matrix<double, B, B, Eigen::RowMajor>;  // as PETSc reads them
+
+  static std::vector<std::pair<int, int>> PairsOf(const GraphShare<Pose>& share) {
+    std::vector<std::pair<int, int>> pairs;
+    for (const auto& term : share.relative) {
+      if (share.Owns(term.first)) pairs.emplace_back(term.first, term.second);
+      if (share.Owns(term.second)) pairs.emplace_back(term.second, term.first);
+    }
+    return pairs;
+  }
+
+  const Pose& ValueOf(const std::vector<Pose>& values, int pose) const {
+    return values[static_cast<std::size_t>(pose)];
+  }
+
+  double TermChi2(const ShareTerm<Pose>& term, const std::vector<Pose>& values) const {
+    return FactorChi2(term.factor, ValueOf(values, term.first), ValueOf(values, term.second));
+  }
+
+  // chi2, and in `cost` what FIXed poses away from their values add to it. Every term counts where its first pose is.
+  double Cost(const std::vector<Pose>& values, double& cost) {
+    ScopedTimer timer(result_.seconds.linearise);
+    double sums[2] = {0, 0};
+    for (const auto* terms : {&share_.relative, &share_.absolute, &share_.fixed}) {
+      for (const auto& term : *terms) {
+        if (share_.Owns(term.first)) sums[terms == &share_.fixed] += TermChi2(term, values);
+      }
+    }
+    MPI_Allreduce(MPI_IN_PLACE, sums, 2, MPI_DOUBLE, MPI_SUM, ranks_);
+    cost = sums[0] + sums[1];
+    return sums[0];
+  }
+
+  // Into own rows alone: a measurement with an end elsewhere is linearised there too.
+  void Add(const LinearFactor<B>& f) {
+    const auto row = [&](int row, const Matrix<B, B>& A_row, int other, const Matrix<B, B>& A_other) {
+      if (!share_.Owns(row)) return;
+      const Block diagonal = A_row.transpose() * A_row;
+      system_.AddBlock(row, row, diagonal.data());
+      const Vector<B> right = -A_row.transpose() * f.residual;
+      system_.AddRight(row, right.data());
+      if (other < 0) return;
+      const Block side = A_row.transpose() * A_other;
+      system_.AddBlock(row, other, side.data());
+    };
+    row(f.first, f.A_first, f.second, f.A_second);
+    if (f.second >= 0) row(f.second, f.A_second, f.first, f.A_first);
+  }
+
+  void Assemble() {
+    ScopedTimer timer(result_.seconds.linearise);
+    const std::vector<Pose>& values = result_.T_world_body;
+    system_.SetZero();
+    for (std::size_t k = 0; k < share_.relative.size(); ++k) {
+      const auto& term = share_.relative[k];
+      Add(Linearize(term.factor, W_[k], term.first, term.second, ValueOf(values, term.first),
+                    ValueOf(values, term.second)));
+    }
+    // What the absolute measurements leave free the anchor holds: every rank finds the same.
+    AbsoluteInformation<Pose> absolute;
+    for (const auto* terms : {&share_.fixed, &share_.absolute}) {
+      for (const auto& term : *terms) {
+        const Pose& value = ValueOf(values, term.first);
+        absolute.Add(term.factor, value);
+        if (share_.Owns(term.first)) Add(Linearize(term.factor, term.first, -1, value, value));
+      }
+    }
+    if (share_.Owns(0)) Add(Anchor(absolute.FindGauge(values.front())));
+    system_.FinishAssembly();
+    if (system_.IsIterative()) system_.SetNearNullSpace(RigidMotions());
+  }
+
+  // Of the map as a whole, in the tangent directions of own poses: Exp(xi) T = T Exp(Ad(T^-1) xi).
+  std::vector<std::vector<double>> RigidMotions() const {
+    std::vector<std::vector<double>> motions(B);
+    for (int pose = share_.begin; pose < share_.end; ++pose) {
+      const Matrix<B, B> A = ValueOf(result_.T_world_body, pose).Inverse().Adjoint();
+      for (int k = 0; k < B; ++k) {
+        for (int i = 0; i < B; ++i) motions[static_cast<std::size_t>(k)].push_back(A(i, k));
+      }
+    }
+    return motions;
+  }
+
+  void Factorise() {
+    Assemble();
+    ScopedTimer timer(result_.seconds.factor);
+    system_.Factor();
+  }
+
+  void TakeStep() {
+    Factorise();
+    std::vector<double> d;
+    {
+      ScopedTimer timer(result_.seconds.solve);
+      d = system_.Solve();
+    }
+    const double predicted = system_.Decrement();
+    // chi2 has no unit: below the constant it is rounding.
+    const double tolerance = options_.relative_tolerance * cost_ + 1e-16;
+    const bool is_small = predicted <= tolerance;
+    // Along the step until chi2 has fallen by a part of what its slope promises (Armijo).
+    constexpr double kPart = 1e-4;
+    constexpr int kMostHalvings = 30;
+    double scale = 1;
+    for (int halving = 0; halving <= kMostHalvings; ++halving, scale /= 2) {
+      std::vector<Pose> trial = Moved(d, scale);
+      double cost = 0;
+      const double chi2 = Cost(trial, cost);
+      const double decrease = cost_ - cost;
+      // Near the optimum chi2 is rounding, and the step is better than it.
+      const bool is_last = is_small && scale == 1 && decrease >= -tolerance;
+      if (!std::isfinite(cost) || !(decrease >= kPart * scale * predicted || is_last)) continue;
+      result_.T_world_body = std::move(trial);
+      result_.chi2 = chi2;
+      cost_ = cost;
+      if (is_small || (scale == 1 && decrease <= tolerance)) Finish(Termination::kConverged);
+      return;
+    }
+    Finish(Termination::kStalled);
+  }
+
+  std::vector<Pose> Moved(const std::vector<double>& d, double scale) const {
+    std::vector<Pose> out = result_.T_world_body;
+    for (std::size_t v = 0; v < out.size(); ++v) {
+      out[v] = out[v].Retract(scale * Eigen::Map<const Vector<B>>(d.data() + v * B));
+    }
+    return out;
+  }
+
+  void Finish(Termination termination) {
+    result_.termination = termination;
+    done_ = true;
+  }
+
+  void SolveForCovariances() {
+    Factorise();
+    ScopedTimer timer(result_.seconds.solve);
+    for (const int pose : options_.covariances_of) {
+      Matrix<B, B> covariance;
+      for (int k = 0; k < B; ++k) {
+        const std::vector<double> column = system_.InverseColumn(static_cast<PetscInt>(pose) * B + k);
+        covariance.col(k) = Eigen::Map<const Vector<B>>(column.data());
+      }
+      result_.covariances.push_back((covariance + covariance.transpose()) / 2);
+    }
+  }
+
+  MPI_Comm ranks_;
+  const GraphShare<Pose>& share_;
+  const DistributedOptions& options_;
+  PetscSystem system_;
+  std::vector<Matrix<B, B>> W_;  // of the relative measurements
+  DistributedResult<Pose> result_;
+  double cost_ = 0;
+  bool done_ = false;
+};
+
+// A pose as numbers; all ranks, the first too, make theirs of these, so that they are the same to the last bit.
+std::array<double, 3> Numbers(const SE2& T) { return {T.Translation().x(), T.Translation().y(), T.Theta()}; }
+std::array<double, 7> Numbers(const SE3& T) {
+  const Quaternion& q = T.Rotation().Unit();
+  const Vector<3>& t = T.Translation();
+  return {t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w()};
+}
+SE2 PoseOf(const std::array<double, 3>& n) { return SE2({n[0], n[1]}, n[2]); }
+SE3 PoseOf(const std::array<double, 7>& n) { return SE3(SO3(Quaternion(n[6], n[3], n[4], n[5])), {n[0], n[1], n[2]}); }
+
+}  // namespace
+
+template <class Pose>
+void BroadcastPoses(MPI_Comm ranks, std::vector<Pose>& T_world_body) {
+  constexpr std::size_t kPosesAtOnce = std::size_t{1} << 24;  // MPI counts in int
+  using PoseNumbers = decltype(Numbers(Pose()));
+  for (std::size_t begin = 0; begin < T_world_body.size(); begin += kPosesAtOnce) {
+    const std::size_t end = std::min(T_world_body.size(), begin + kPosesAtOnce);
+    std::vector<PoseNumbers> numbers;
+    for (std::size_t k = begin; k < end; ++k) numbers.push_back(Numbers(T_world_body[k]));
+    MPI_Bcast(numbers.data(), static_cast<int>(numbers.size() * PoseNumbers().size()), MPI_DOUBLE, 0, ranks);
+    for (std::size_t k = begin; k < end; ++k) T_world_body[k] = PoseOf(numbers[k - begin]);
+  }
+}
+
+template <class Pose>
+DistributedResult<Pose> SolveDistributed(MPI_Comm ranks, const GraphShare<Pose>& share, std::vector<Pose> initial,
+                                         const DistributedOptions& options) {
+  if (initial.size() != share.ids.size()) throw std::invalid_argument("one initial value per pose is needed");
+  for (const int pose : options.covariances_of) {
+    if (pose < 0 || static_cast<std::size_t>(pose) >= share.ids.size()) {
+      throw std::invalid_argument("there is no pose " + std::to_string(pose));
+    }
+  }
+  return DistributedRun<Pose>(ranks, share, std::move(initial), options).Execute();
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                                 \
+  template void BroadcastPoses<Pose>(MPI_Comm, std::vector<Pose>&);                                             \
+  template DistributedResult<Pose> SolveDistributed<Pose>(MPI_Comm, const GraphShare<Pose>&, std::vector<Pose>, \
+                                                          const DistributedOptions&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse

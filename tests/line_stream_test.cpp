@@ -1,0 +1,78 @@
+// Files line by line: the lines that a file read whole has.
+
+#include "terse/core/line_stream.h"
+
+#include <gtest/gtest.h>
+
+#include <random>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "terse/core/crc32.h"
+#include "terse/core/limits.h"
+#include "testing_files.h"
+
+namespace terse {
+namespace {
+
+using Line = std::pair<long, std::string>;
+
+std::vector<Line> Streamed(const std::string& content) {
+  const TestFile file("lines.txt", content);
+  LineStream stream(file.Path());
+  std::vector<Line> lines;
+  for (TextLine line; stream.Next(line);) lines.emplace_back(line.number, line.text);
+  return lines;
+}
+
+std::vector<Line> Whole(const std::string& content) {
+  const TestFile stored("lines.txt", content);
+  const TextFile file(stored.Path());
+  std::vector<Line> lines;
+  for (const TextLine& line : file.Lines()) lines.emplace_back(line.number, line.text);
+  return lines;
+}
+
+FileFingerprint Fingerprint(const std::string& content) { return FingerprintOf(TestFile("bytes", content).Path()); }
+
+TEST(LineStream, GivesTheLinesOfTheWholeFile) {
+  for (const char* content : {"a 1\nb 2\n", "a\r\n\r\n  b \t\n", "# no\n// no\nyes",
+                              "\xEF\xBB\xBF"
+                              "a\nb",
+                              "\n\n\n", "x"}) {
+    EXPECT_EQ(Streamed(content), Whole(content)) << content;
+  }
+  // Lines around the size of the pieces that are read at once.
+  std::mt19937 random(3);
+  std::string content;
+  for (int k = 0; k < 60; ++k) {
+    const std::size_t length =
+        k % 3 == 0 ? random() % 5 : (std::size_t{1} << 16) * (1 + random() % 2) - 3 + random() % 6;
+    content += std::string(length, static_cast<char>('a' + k % 26)) + "\n";
+  }
+  EXPECT_EQ(Streamed(content), Whole(content));
+  content.pop_back();
+  EXPECT_EQ(Streamed(content), Whole(content));
+}
+
+TEST(LineStream, RefusesWhatIsNoText) {
+  EXPECT_THROW(LineStream(TestFile("absent").Path()), FileError);
+  EXPECT_THROW(LineStream(::testing::TempDir()), FileError);
+  EXPECT_THROW(Streamed(std::string("a\nb\0c\n", 6)), FileError);
+  EXPECT_THROW(Streamed(std::string(kMostLineBytes + 10, 'x')), FileError);
+}
+
+TEST(LineStream, FingerprintsAreOfAllBytes) {
+  std::mt19937 random(4);
+  std::string content;
+  while (content.size() < (std::size_t{5} << 19)) content += static_cast<char>(random() % 256);
+  const FileFingerprint found = Fingerprint(content);
+  EXPECT_EQ(found.bytes, content.size());
+  EXPECT_EQ(found.crc32, Crc32(content));
+  content[content.size() / 2] ^= 1;
+  EXPECT_NE(Fingerprint(content).crc32, found.crc32);
+}
+
+}  // namespace
+}  // namespace terse
