@@ -11,7 +11,8 @@ package_packages = dpkg-dev file gzip
 docs_packages = doxygen libjs-katex
 python_packages = pybind11-dev python3-dev python3-numpy python3-matplotlib
 plot_packages = librsvg2-bin
-mpi_packages = libpetsc-real-dev libopenmpi-dev openmpi-bin pkg-config iproute2
+# Serial: a rank per core. With the BLAS that MUMPS comes with a factor takes two to three times as long.
+mpi_packages = libpetsc-real-dev libopenmpi-dev openmpi-bin libopenblas0-serial pkg-config iproute2
 bench_packages = libbenchmark-dev libceres-dev
 # Where node comes from elsewhere, Debian's npm would conflict with it.
 node_packages = $(if $(shell command -v npm),,nodejs npm)

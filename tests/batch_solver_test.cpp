@@ -62,6 +62,33 @@ TYPED_TEST(BatchSolverTest, EndsWhereTheGradientVanishes) {
   }
 }
 
+TYPED_TEST(BatchSolverTest, TellsHowFarAFactorisationIs) {
+  Random rng(6);
+  const auto random = testing::MakeRandomGraph<TypeParam>(rng, {600, 0.5, 0.1});
+  BatchOptions options;
+  options.threads = 3;
+  std::vector<double> shares;
+  int steps = 0;
+  options.factor_progress = [&](double share) { shares.push_back(share); };
+  options.progress = [&](int, double) {
+    ++steps;
+    return true;
+  };
+  const auto result = SolveBatch(random.graph, Values(random.graph), options);
+  ASSERT_TRUE(result.Converged()) << result.message;
+  // Each factorisation rises to all of its work.
+  int whole = 0;
+  for (std::size_t k = 0; k < shares.size(); ++k) {
+    EXPECT_GT(shares[k], 0);
+    EXPECT_LT(shares[k], 1 + 1e-9);
+    const bool is_last = k + 1 == shares.size() || shares[k + 1] < shares[k];
+    if (is_last) EXPECT_NEAR(shares[k], 1, 1e-9);
+    whole += is_last;
+  }
+  EXPECT_GE(whole, steps);
+  EXPECT_GT(shares.size(), 10u * static_cast<std::size_t>(whole));
+}
+
 TYPED_TEST(BatchSolverTest, DampingSavesABadStart) {
   Random rng(4);
   const auto random = testing::MakeRandomGraph<TypeParam>(rng, {60, 1.0, 0.01});

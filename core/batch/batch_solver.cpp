@@ -68,6 +68,7 @@ class Run {
     result_.robust_cost = problem_.IsRobust() ? problem_.RobustCost(result_.T_world_body) : result_.chi2;
     if (problem_.IsRobust()) result_.robust_width = problem_.Width();
     if (problem_.IsRobust()) result_.weights = problem_.WeightsAt(result_.T_world_body);
+    result_.cholesky.SetProgress({});
     Log(options_.log, result_.Converged() ? LogLevel::kInfo : LogLevel::kWarning, "batch: ", Name(result_.termination),
         " after ", result_.iterations, " iterations, chi2 ", result_.chi2, ": ", result_.message);
     return std::move(result_);
@@ -85,6 +86,7 @@ class Run {
     result_.cholesky = BlockCholesky<B>();
     result_.cholesky.SetThreads(options_.threads);
     result_.cholesky.DropUpdateMatrices();
+    result_.cholesky.SetProgress(options_.factor_progress);
   }
 
   bool BuildFactor() {

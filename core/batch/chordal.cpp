@@ -104,6 +104,14 @@ class LeastSquares {
   Point<D> pinned_value_ = Point<D>::Zero();
 };
 
+BlockCholesky<3> EmptyFactor(const StartOptions& options) {
+  BlockCholesky<3> factor;
+  factor.SetThreads(options.threads);
+  factor.DropUpdateMatrices();
+  factor.SetProgress(options.factor_progress);
+  return factor;
+}
+
 // The weight kappa of |R_j - R_i R_ij|^2, Frobenius. With R_j = R_i R_ij Exp(phi) it is 2 |phi|^2 to first order, so an
 // isotropic factor of variance s^2 per axis has kappa = 1 / (2 s^2). s^2 is the mean variance of phi, translation
 // marginalised: the isotropic Gaussian closest in Kullback-Leibler divergence (the weight of SE-Sync). The weight
@@ -139,10 +147,9 @@ bool HasPositionPriors(const PoseGraph<Pose>& graph) {
 // second column is the first one turned, as everything in the problem commutes with turns.
 template <class Pose>
 void SolveRotations(const PoseGraph<Pose>& graph, const std::vector<PosePriorFactor<Pose>>& priors, int first,
-                    const Pose& T_world_first, std::vector<Pose>& values) {
+                    const Pose& T_world_first, const StartOptions& options, std::vector<Pose>& values) {
   constexpr int D = Pose::kDim;
-  BlockCholesky<3> factor;
-  factor.DropUpdateMatrices();
+  BlockCholesky<3> factor = EmptyFactor(options);
   std::vector<Block<D>> X(values.size());
   for (int column = 0; column < (D == 2 ? 1 : D); ++column) {
     LeastSquares<D> problem(values.size());
@@ -178,7 +185,8 @@ void SolveRotations(const PoseGraph<Pose>& graph, const std::vector<PosePriorFac
 // The relative residual depends on t_to - t_from only, a position prior's with its lever arm turned.
 template <class Pose>
 void SolveTranslations(const PoseGraph<Pose>& graph, const std::vector<PosePriorFactor<Pose>>& priors,
-                       bool use_position_priors, int first, const Pose& T_world_first, std::vector<Pose>& values) {
+                       bool use_position_priors, int first, const Pose& T_world_first, const StartOptions& options,
+                       std::vector<Pose>& values) {
   constexpr int D = Pose::kDim;
   for (Pose& value : values) Assign(value, RotationOf(value), Point<D>::Zero());
   LeastSquares<D> problem(values.size());
@@ -219,8 +227,7 @@ void SolveTranslations(const PoseGraph<Pose>& graph, const std::vector<PosePrior
     add(linear.J_residual_pose, RotationOf(value(i)), linear.residual, prior.information,
         [&](const Block<D>& U, const Point<D>& r) { problem.Add(i, U, r); });
   }
-  BlockCholesky<3> factor;
-  factor.DropUpdateMatrices();
+  BlockCholesky<3> factor = EmptyFactor(options);
   const std::vector<Point<D>> t = problem.Solve(factor);
   for (std::size_t k = 0; k < values.size(); ++k) Assign(values[k], RotationOf(values[k]), t[k]);
 }
@@ -291,17 +298,18 @@ Pose ClosestToPositionPriors(const PoseGraph<Pose>& graph, const std::vector<Pos
 }  // namespace
 
 template <class Pose>
-std::vector<Pose> ChordalValues(const PoseGraph<Pose>& graph, int first, const Pose& T_world_first) {
+std::vector<Pose> ChordalValues(const PoseGraph<Pose>& graph, int first, const Pose& T_world_first,
+                                const StartOptions& options) {
   std::vector<Pose> values(graph.Poses().size());
   const auto priors = PosePriors(graph);
-  SolveRotations(graph, priors, first, T_world_first, values);
+  SolveRotations(graph, priors, first, T_world_first, options, values);
   if (priors.empty() && HasPositionPriors(graph)) {
     // The shape first: it turns the rotations into the frame of the positions.
-    SolveTranslations(graph, priors, false, first, T_world_first, values);
+    SolveTranslations(graph, priors, false, first, T_world_first, options, values);
     const Pose T_new_old = ClosestToPositionPriors(graph, values);
     for (Pose& value : values) value = T_new_old * value;
   }
-  SolveTranslations(graph, priors, true, first, T_world_first, values);
+  SolveTranslations(graph, priors, true, first, T_world_first, options, values);
   return values;
 }
 
@@ -312,8 +320,8 @@ std::optional<Pose> AlignToPositionPriors(const PoseGraph<Pose>& graph, const st
   return pairs.template MotionWith<Pose>(ProjectToRotation<Pose::kDim>(pairs.C));
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                             \
-  template std::vector<Pose> ChordalValues<Pose>(const PoseGraph<Pose>&, int, const Pose&); \
+#define TERSE_INSTANTIATE(Pose)                                                                                  \
+  template std::vector<Pose> ChordalValues<Pose>(const PoseGraph<Pose>&, int, const Pose&, const StartOptions&); \
   template std::optional<Pose> AlignToPositionPriors<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -116,9 +116,10 @@ void MoveTo(const Pose& T_new_old, std::vector<Pose>& values) {
 const char* Name(InitialValues method) { return WordOf(method); }
 
 template <class Pose>
-std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValues method) {
+std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValues method,
+                                       const StartOptions& options) {
   if (method == InitialValues::kFile) return FileValues(graph);
-  if (method == InitialValues::kAuto && !graph.Poses().empty()) return ChooseStart(graph).T_world_body;
+  if (method == InitialValues::kAuto && !graph.Poses().empty()) return ChooseStart(graph, options).T_world_body;
   if (graph.Poses().empty()) return {};
   const std::vector<int> by_id = internal::PosesById(graph);
   const Tree tree = BreadthFirst(graph, by_id[0]);
@@ -128,7 +129,7 @@ std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValu
   const Pose T_world_first = start.value_or(Pose());
   std::vector<Pose> values;
   if (method == InitialValues::kChordal) {
-    values = internal::ChordalValues(graph, by_id[0], T_world_first);
+    values = internal::ChordalValues(graph, by_id[0], T_world_first, options);
   } else {
     if (method == InitialValues::kCompose) {
       values = ComposeAlongArrival(graph, by_id[0], T_world_first);
@@ -153,7 +154,7 @@ std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValu
   return values;
 }
 
-template std::vector<SE2> ComputeInitialValues<SE2>(const PoseGraph<SE2>&, InitialValues);
-template std::vector<SE3> ComputeInitialValues<SE3>(const PoseGraph<SE3>&, InitialValues);
+template std::vector<SE2> ComputeInitialValues<SE2>(const PoseGraph<SE2>&, InitialValues, const StartOptions&);
+template std::vector<SE3> ComputeInitialValues<SE3>(const PoseGraph<SE3>&, InitialValues, const StartOptions&);
 
 }  // namespace terse

@@ -38,6 +38,7 @@ class Comparison {
       : graph_(graph), problem_(graph, options.threads), options_(options) {
     factor_.SetThreads(options.threads);
     factor_.DropUpdateMatrices();
+    factor_.SetProgress(options.factor_progress);
   }
 
   StartChoice<Pose> Execute() && {
@@ -73,7 +74,7 @@ class Comparison {
     Start start;
     start.trial.method = method;
     try {
-      start.values = ComputeInitialValues(graph_, method);
+      start.values = ComputeInitialValues(graph_, method, options_);
       double chi2 = 0;
       start.cost = problem_.Cost(start.values, chi2);
       start.trial.cost_at_start = start.trial.cost = start.cost;
@@ -231,7 +232,7 @@ StartChoice<Pose> ChooseStart(const PoseGraph<Pose>& graph, const StartOptions& 
 template <class Pose>
 StartChoice<Pose> StartFor(const PoseGraph<Pose>& graph, const BatchOptions& options) {
   if (options.robust.kernel == RobustKernel::kNone && !graph.Poses().empty()) {
-    return ChooseStart(graph, {options.threads, options.log});
+    return ChooseStart(graph, {options.threads, options.log, options.factor_progress});
   }
   return {InitialValues::kCompose, ComputeInitialValues(graph, InitialValues::kCompose), {}};
 }

@@ -41,7 +41,9 @@ BlockCholesky<B>::BlockCholesky(const BlockCholesky& other)
       last_solve_(other.last_solve_),
       method_(other.method_),
       version_(other.version_),
-      next_version_(other.next_version_) {}
+      next_version_(other.next_version_) {
+  SetProgress({});
+}
 
 template <int B>
 BlockCholesky<B>::BlockCholesky(BlockCholesky&& other) : BlockCholesky() {
@@ -86,6 +88,11 @@ void BlockCholesky<B>::SetThreads(int threads) {
 template <int B>
 void BlockCholesky<B>::DropUpdateMatrices() {
   parts_->numbers.DropUpdates();
+}
+
+template <int B>
+void BlockCholesky<B>::SetProgress(std::function<void(double share)> progress) {
+  parts_->numbers.SetProgress(std::move(progress));
 }
 
 template <int B>

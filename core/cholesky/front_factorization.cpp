@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <mutex>
 #include <utility>
 
 #include "terse/core/dense_kernels.h"
@@ -115,6 +116,24 @@ int FactorPanel(double* panel, int rows, int pivots, bool parallel) {
   return -1;
 }
 
+// What is done of the work, told to who wants to know.
+class WorkShare {
+ public:
+  WorkShare(const std::function<void(double)>& tell, double total) : tell_(tell), total_(total) {}
+  template <class AnyFront>
+  void Add(const AnyFront& front) {
+    if (!tell_) return;
+    const std::lock_guard<std::mutex> lock(mutex_);
+    done_ += FactorFlops(front.Rows(), front.Columns());
+    tell_(done_ / total_);
+  }
+
+ private:
+  const std::function<void(double)>& tell_;
+  double total_, done_ = 0;
+  std::mutex mutex_;
+};
+
 template <int B>
 void AssembleFactor(Front<B>& front, const LinearFactor<B>& f, const typename BlockSystem<B>::Normal& normal,
                     const std::vector<int>& row_of) {
@@ -219,12 +238,14 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
   };
   std::atomic<int> end(count);  // the first front that failed, or all
   std::vector<int> failed(fronts.size(), -1);
+  WorkShare share(progress_, total);
   const auto factor = [&](int k, std::vector<int>& row_of, bool parallel) {
     int seen = end;
     if (k > seen) return;
     failed[At(k)] = FactorFront(*fronts[At(k)], from, row_of, parallel);
     children.ForEach(k, [&](int child) { std::vector<double>().swap(fronts[At(child)]->update); });
     while (failed[At(k)] >= 0 && k < seen && !end.compare_exchange_weak(seen, k)) continue;
+    share.Add(*fronts[At(k)]);
   };
   if (threads_ > 1 && total > kParallelFlops) {
     for (Front<B>* front : fronts) {
@@ -312,7 +333,7 @@ template <int B>
 template <class Archive>
 void FrontFactorization<B>::Serialize(Archive& archive) {
   // The rest is scratch; a factor without update matrices is not stored.
-  auto& [row_of, thread_row_of, pool, threads, drops_updates, has_dropped] = *this;
+  auto& [row_of, thread_row_of, pool, threads, drops_updates, has_dropped, progress] = *this;
   archive(threads);
 }
 

@@ -2,8 +2,10 @@
 // The numbers of fronts: assembly from the block system and from the children's update matrices, and partial
 // factorisation.
 
+#include <functional>
 #include <string>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "terse/core/front_tree.h"
@@ -56,6 +58,8 @@ class FrontFactorization {
   // FactorAll of a whole tree then frees each update matrix as soon as the parent has taken it, where they take much.
   void DropUpdates() { drops_updates_ = true; }
   bool HasDropped() const { return has_dropped_; }
+  // FactorAll tells the share of its work that is done: from any of its threads, from one at a time.
+  void SetProgress(std::function<void(double share)> progress) { progress_ = std::move(progress); }
 
   BufferPool& Pool() { return pool_; }
   // Scratch, by variable: its first row in the front at hand.
@@ -83,6 +87,7 @@ class FrontFactorization {
   BufferPool pool_;
   int threads_ = 1;
   bool drops_updates_ = false, has_dropped_ = false;
+  std::function<void(double share)> progress_;
 };
 
 extern template class FrontFactorization<3>;

@@ -83,15 +83,16 @@ IncrementalOptions StepOptions(const SolveOptions& options) {
 template <class Pose>
 BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
   const double start = SecondsNow();
-  Progress progress("iterations", 0, options.quiet);
+  BatchProgress progress(options.quiet);
   BatchOptions batch;
   batch.threads = options.threads;
   batch.robust = options.robust;
   batch.log = options.log;
   batch.progress = [&](int iteration, double) {
-    progress.Update(iteration);
+    progress.FinishStep(iteration);
     return true;
   };
+  batch.factor_progress = [&](double share) { progress.UpdateFactor(share); };
   const std::vector<Pose> initial = StartValues(graph, options.initial, batch, stats.more);
   BatchResult<Pose> result = SolveBatch(graph, initial, batch);
   stats.step_seconds.push_back(SecondsNow() - start);

@@ -25,7 +25,11 @@ std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method
                               nlohmann::ordered_json& stats) {
   const bool automatic = method == InitialValues::kAuto;
   StartChoice<Pose> start =
-      automatic ? StartFor(graph, options) : StartChoice<Pose>{method, ComputeInitialValues(graph, method), {}};
+      automatic ? StartFor(graph, options)
+                : StartChoice<Pose>{
+                      method,
+                      ComputeInitialValues(graph, method, {options.threads, options.log, options.factor_progress}),
+                      {}};
   stats["initial"] = {{"method", Name(start.chosen)}, {"chosen_by", automatic ? "auto" : "option"}};
   for (const StartTrial& trial : start.trials) stats["initial"]["compared"].push_back(ToJson(trial));
   return std::move(start.T_world_body);

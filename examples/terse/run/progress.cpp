@@ -39,6 +39,11 @@ void Progress::Clear() {
   drawn_ = false;
 }
 
+void Progress::Restart(const std::string& label) {
+  label_ = label;
+  start_ = Clock::now();
+}
+
 void Progress::Say(const std::string& line) {
   if (quiet_) return;
   Clear();
@@ -65,6 +70,23 @@ void Progress::Update(long done) {
                std::string(static_cast<std::size_t>(filled), '#').c_str(),
                std::string(static_cast<std::size_t>(kWidth - filled), '.').c_str(), done, total_, rate,
                Duration(left_s).c_str());
+}
+
+void BatchProgress::UpdateFactor(double share) {
+  if (share < share_) Restart();
+  share_ = share;
+  line_.Update(static_cast<long>(share * kWhole));
+}
+
+void BatchProgress::FinishStep(int iteration) {
+  iteration_ = iteration;
+  Restart();
+}
+
+void BatchProgress::Restart() {
+  share_ = 0;
+  line_.Restart(iteration_ == 0 ? "start, factorising"
+                                : "iteration " + std::to_string(iteration_ + 1) + ", factorising");
 }
 
 }  // namespace terse

@@ -35,6 +35,8 @@ struct BatchOptions {
   int threads = 1;  // at most; the result is the same to the last bit for any number
   // Called after every iteration with its number and chi2. Return false to stop.
   std::function<bool(int iteration, double chi2)> progress;
+  // Told the share of a factorisation's work that is done, from any thread, from one at a time: what falls begins anew.
+  std::function<void(double share)> factor_progress;
   RobustOptions robust;
   // The relative factors that the kernel is for; absent: LoopFactors. The others must hold every pose.
   std::optional<std::vector<FactorId>> robust_factors;

@@ -18,6 +18,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -123,6 +124,9 @@ class BlockCholesky {
   // assembled, which leaves a fraction of the memory. An Update later on factors everything again; nothing can be made
   // ready in pieces.
   void DropUpdateMatrices();
+  // Told the share of the work of a factorisation that is done, after every front: from any of its threads, from one at
+  // a time. Neither copied with the factor nor stored.
+  void SetProgress(std::function<void(double share)> progress);
 
   // New values for the linear factors of slots 0, 1, ... on the present structure: numeric work only. damping (B *
   // Variables() scalars or empty) is added to the diagonal. If false, L is unusable until a Refactor succeeds.

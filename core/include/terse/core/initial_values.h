@@ -8,9 +8,11 @@
 // whichever leaves the lower chi2; what was composed stays if that does. kChordal prefers priors to the first pose's
 // value, see there.
 
+#include <functional>
 #include <vector>
 
 #include "terse/core/error.h"
+#include "terse/core/log.h"
 #include "terse/core/pose_graph.h"
 
 namespace terse {
@@ -31,10 +33,18 @@ enum class InitialValues {
 };
 const char* Name(InitialValues method);  // compose, file, tree, chordal, auto
 
+// Of kChordal and kAuto, which factorise.
+struct StartOptions {
+  int threads = 1;                                    // at most; the result is the same for any number
+  LogSink log;                                        // log.h
+  std::function<void(double share)> factor_progress;  // as in BatchOptions
+};
+
 // Pose values in the order of graph.Poses(). O(V + E) and, for kChordal, sparse factorisations (kAuto: more). Throws
 // std::invalid_argument if the graph is not connected (not for kFile) or, for kFile, names the first pose
 // without a value; NumericalError if kChordal's systems are singular to rounding.
 template <class Pose>
-std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValues method);
+std::vector<Pose> ComputeInitialValues(const PoseGraph<Pose>& graph, InitialValues method,
+                                       const StartOptions& options = {});
 
 }  // namespace terse

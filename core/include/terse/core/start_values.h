@@ -36,11 +36,6 @@ struct StartChoice {
   std::vector<StartTrial> trials;  // file, compose, tree, chordal
 };
 
-struct StartOptions {
-  int threads = 1;  // at most; the result is the same for any number
-  LogSink log;      // log.h
-};
-
 // O(V + E), the relaxation's two sparse factorisations, and one factorisation per step. Throws std::invalid_argument if
 // the graph is empty, or not connected and without a value for every pose; NumericalError if chi2 is finite at no
 // start.
