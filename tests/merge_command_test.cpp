@@ -43,7 +43,13 @@ TEST_F(MergeCommand, JoinsGraphsAndSaysWhichLinksAreWrong) {
   const PoseGraph<SE2> joint = Graph("joint/compact.g2o");
   EXPECT_EQ(joint.Poses().size(), 1200u);
   EXPECT_TRUE(joint.HasPose({599}) && joint.HasPose({1599}));
-  EXPECT_NE(Read("joint/report.html").find("<svg"), std::string::npos);
+  const std::string report = Read("joint/report.html");
+  EXPECT_NE(report.find("<svg"), std::string::npos);
+  // Each robot's trajectory is a line of its own, in the joint map and alone.
+  std::size_t lines = 0;
+  for (std::size_t at = report.find("<polyline"); at != std::string::npos; at = report.find("<polyline", at + 1))
+    ++lines;
+  EXPECT_EQ(lines, 4u);
 
   // The truth is of one world: both robots lie in it as one.
   std::string truth = Read("team/robot_1.tum");
