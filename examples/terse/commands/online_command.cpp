@@ -217,8 +217,8 @@ void AddOnlineCommand(CLI::App& app) {
       ->type_name("MB");
   command
       ->add_option("--agreeing-links", options->run.agreeing_links,
-                   "Links to a map received (MAP) that have to agree before it becomes part of the run's: what the "
-                   "robots mistake for one another in a row is to be less")
+                   "Links to a map received (MAP) that have to agree, not all of one place, before it becomes part of "
+                   "the run's for good")
       ->check(CLI::Range(2, 1000).description(""))
       ->type_name("N")
       ->capture_default_str();

@@ -1,9 +1,12 @@
 #include "run/received_maps.h"
 
 #include <algorithm>
+#include <array>
 #include <charconv>
+#include <cstdlib>
 #include <sstream>
 #include <stdexcept>
+#include <unordered_map>
 
 #include "run/merge_output.h"
 #include "terse/core/gauge.h"
@@ -31,6 +34,31 @@ std::int64_t OffsetBelow(const CompactMap<Pose>& map, std::int64_t lowest) {
   std::int64_t step = 1000;
   while (step <= by / 10) step *= 10;
   return -step * ((by + step - 1) / step);
+}
+
+// Whether two of the links that are in lie farther apart than a group of wrong ones, which agree with each other
+// because one place looks like another: both robots' poses are so many apart.
+constexpr long kOnePlace = 10;
+template <class Pose>
+bool AreOfTwoPlaces(const std::vector<MapToMerge<Pose>>& maps, const std::vector<MergedLink<Pose>>& links) {
+  std::unordered_map<std::int64_t, long> order[2];
+  for (std::size_t k = 0; k < 2; ++k) {
+    for (const auto& pose : maps[k].map.poses) order[k].emplace(pose.id.value, static_cast<long>(order[k].size()));
+  }
+  std::vector<std::array<long, 2>> places;
+  for (const auto& link : links) {
+    if (link.verdict != MapLinkVerdict::kAccepted) continue;
+    const bool is_from_run = link.link.from_map == 0;
+    const auto& measured = link.link.measured;
+    places.push_back({order[0].at((is_from_run ? measured.from : measured.to).value),
+                      order[1].at((is_from_run ? measured.to : measured.from).value)});
+  }
+  for (const auto& a : places) {
+    for (const auto& b : places) {
+      if (a[0] - b[0] > kOnePlace && std::abs(a[1] - b[1]) > kOnePlace) return true;
+    }
+  }
+  return false;
 }
 
 ordered_json ScaleJson(const InformationScale& scale) {
@@ -231,11 +259,12 @@ bool ReceivedMaps<Pose>::TryToJoin(int map, Outcome& outcome) {
                                         [](const auto& link) { return link.verdict == MapLinkVerdict::kAccepted; });
     const bool are_in_world =
         merged.maps[0].placement == Placement::kDatum && merged.maps[1].placement == Placement::kDatum;
-    if (are_in_world || accepted >= agreeing_) {
+    if (are_in_world || (accepted >= agreeing_ && AreOfTwoPlaces(maps, merged.links))) {
       outcome.answers.push_back(Join(map, merged, tested));
       return true;
     }
-    cause = std::to_string(accepted) + " links agree, " + std::to_string(agreeing_) + " have to (--agreeing-links)";
+    cause = std::to_string(accepted) + " links agree, " + std::to_string(agreeing_) +
+            " have to (--agreeing-links), of more than one place";
   } catch (const NumericalError& error) {
     cause = error.what();
   } catch (const std::invalid_argument& error) {

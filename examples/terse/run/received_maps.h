@@ -1,7 +1,8 @@
 #pragma once
 // Maps of other robots that a run of `online` has received, and links to them, some of which may be wrong. A map waits
-// until enough links agree on how it lies (terse/compact/merge.h), or absolute measurements say so; then it becomes
-// part of the run's map. It is tried again when what speaks for it has grown, by a sixteenth at least.
+// until enough links agree on how it lies (terse/compact/merge.h), of more than one place, or absolute measurements say
+// so; then it becomes part of the run's map, for good. It is tried again when what speaks for it has grown, by a
+// sixteenth at least.
 //
 // A pose of such a map is NAME:ID, before that and afterwards. In the run's map its ids are moved below all others, so
 // that ids ascend and dropped poses can be forgotten (CompactOptions::most_dropped).
