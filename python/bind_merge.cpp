@@ -6,6 +6,8 @@
 
 #include "bindings.h"
 #include "names.h"
+#include "pickling.h"
+#include "state_members.h"
 #include "terse/compact/map_file.h"
 #include "terse/compact/map_links.h"
 #include "terse/compact/merge.h"
@@ -214,6 +216,8 @@ void BindLink(py::module_& module) {
            "dropped poses will do. Maps count from 0. information or covariance: (d, d), or (d,) for its diagonal.")
       .def_property_readonly(
           "dimension", [](const Link& l) { return DimensionOf(l.link); }, "2 or 3.")
+      .def(PickleOf<Link>(
+          "pickle MapLink", [](const Link& l) { return l.link; }, [](Either<MapLink> link) { return Link{link}; }))
       .def("__repr__", [](const Link& l) {
         return std::visit(
             [](const auto& link) {
