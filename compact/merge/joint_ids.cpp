@@ -56,6 +56,7 @@ template <class Pose>
 std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*>& maps,
                                        const std::vector<std::optional<std::int64_t>>& given) {
   std::vector<std::int64_t> offsets;
+  offsets.reserve(given.size());
   for (const auto& offset : given) offsets.push_back(offset.value_or(0));
   Spread spread = SpreadOf(maps, offsets);
   if (!spread.collide) return offsets;
