@@ -10,14 +10,6 @@
 namespace terse::python {
 namespace {
 
-// Of a pose array; matrices are told by their size.
-int DimensionOfPose(const Array& array, const std::string& what) {
-  const py::ssize_t last = array.ndim() > 0 ? array.shape(array.ndim() - 1) : 0;
-  if (last == 7 || last == 4) return 3;
-  if (last == 3) return 2;
-  throw std::invalid_argument(what + ": expected shape (3,), (7,), (3, 3) or (4, 4), got " + ShapeOf(array));
-}
-
 template <class Pose, class Measurement>
 Measurement Checked(const Measurement& measurement) {
   const std::string defect = FindDefect<Pose>(Factor<Pose>(measurement));

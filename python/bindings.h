@@ -22,6 +22,7 @@ void BindMapFile(pybind11::module_& module);
 void BindCompact(pybind11::module_& module);
 void BindCompactRun(pybind11::module_& module);
 void BindSparsify(pybind11::module_& module);
+void BindMerge(pybind11::module_& module);
 
 // What makes a part too long for one file: adds to the class that the part has made.
 struct Slam;

@@ -80,6 +80,13 @@ std::string ShapeOf(const py::array& array) {
   return text + (array.ndim() == 1 ? ",)" : ")");
 }
 
+int DimensionOfPose(const Array& array, const std::string& what) {
+  const py::ssize_t last = array.ndim() > 0 ? array.shape(array.ndim() - 1) : 0;
+  if (last == 7 || last == 4) return 3;
+  if (last == 3) return 2;
+  throw std::invalid_argument(what + ": expected shape (3,), (7,), (3, 3) or (4, 4), got " + ShapeOf(array));
+}
+
 template <>
 void WritePose<SE2>(const SE2& T, double* row) {
   row[0] = T.Translation().x();

@@ -30,6 +30,8 @@ template <class Pose>
 constexpr int kRow = Pose::kDim == 2 ? 3 : 7;
 
 std::string ShapeOf(const py::array& array);
+// Of one pose; a matrix is told by its size.
+int DimensionOfPose(const Array& array, const std::string& what);
 
 template <class Pose>
 void WritePose(const Pose& T, double* row);

@@ -25,4 +25,5 @@ PYBIND11_MODULE(_terse, module) {
   BindCompact(module);
   BindCompactRun(module);
   BindSparsify(module);
+  BindMerge(module);
 }

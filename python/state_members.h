@@ -3,6 +3,7 @@
 
 #include "terse/compact/compact_graph.h"
 #include "terse/compact/map_file.h"
+#include "terse/compact/merge.h"
 #include "terse/compact/state_members.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/graph_file.h"
@@ -54,6 +55,12 @@ template <class Archive>
 void Serialize(Archive& archive, LinkDecision& decision) {
   auto& [from, to, gain, innovation, outlier, accepted, factor] = decision;
   archive(from, to, gain, innovation, outlier, accepted, factor);
+}
+
+template <class Archive, class Pose>
+void Serialize(Archive& archive, MapLink<Pose>& link) {
+  auto& [from_map, to_map, measured] = link;
+  archive(from_map, to_map, measured);
 }
 
 template <class Archive, class Pose>

@@ -18,6 +18,11 @@ class MergeCommand : public testing::CommandTest {
     Succeed("generate manhattan --robots 2 --poses 600 --seed 7 --outliers 20 --outliers-list wrong.csv --output team");
   }
   PoseGraph<SE2> Graph(const std::string& name) const { return std::get<PoseGraph<SE2>>(ReadGraph(Path(name)).graph); }
+  static std::size_t Lines(const std::string& svg) {
+    std::size_t lines = 0;
+    for (std::size_t at = svg.find("<polyline"); at != std::string::npos; at = svg.find("<polyline", at + 1)) ++lines;
+    return lines;
+  }
   void ExpectRefused(const std::string& links, const std::string& cause) const {
     Write("bad.txt", links);
     ExpectFailure("merge team/robot_1.g2o team/robot_2.g2o --links bad.txt --output out", 1, cause);
@@ -43,7 +48,9 @@ TEST_F(MergeCommand, JoinsGraphsAndSaysWhichLinksAreWrong) {
   const PoseGraph<SE2> joint = Graph("joint/compact.g2o");
   EXPECT_EQ(joint.Poses().size(), 1200u);
   EXPECT_TRUE(joint.HasPose({599}) && joint.HasPose({1599}));
-  EXPECT_NE(Read("joint/report.html").find("<svg"), std::string::npos);
+  const std::string report = Read("joint/report.html");
+  EXPECT_NE(report.find("<svg"), std::string::npos);
+  EXPECT_EQ(Lines(report), 4u) << "each robot's trajectory is one, in the joint map and alone";
 
   // The truth is of one world: both robots lie in it as one.
   std::string truth = Read("team/robot_1.tum");
@@ -84,6 +91,10 @@ TEST_F(MergeCommand, ARobotGoesOnInTheJointMap) {
   const auto map = JsonFile("on/graph.json");
   EXPECT_EQ(map["poses"].size(), 1200u);
   EXPECT_EQ(map["poses"].back()["id"], 599);
+  Succeed("plot on --what trajectory --output pictures");
+  EXPECT_EQ(Lines(Read("pictures/trajectory.svg")), 2u);
+  Succeed("plot b --what trajectory --output pictures");
+  EXPECT_EQ(Lines(Read("pictures/trajectory.svg")), 1u);
 }
 
 TEST_F(MergeCommand, SaysWhatIsWrongWithWhatItIsGiven) {

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <limits>
 #include <set>
 
 #include "simulation.h"
@@ -243,6 +244,25 @@ TYPED_TEST(MergeTest, IdsAreKeptApartOnlyWhereMapsShareThem) {
   EXPECT_EQ(distinct.maps[1].id_offset, 0);
   EXPECT_TRUE(distinct.graph.HasPose({-1000}));
   EXPECT_NEAR(distinct.chi2, apart.chi2, 1e-9 * apart.chi2);
+}
+
+// Below those of a run that forgets dropped poses: it knows which ones, and can go on forgetting.
+TYPED_TEST(MergeTest, IdsAreMovedAsIsSaid) {
+  using Pose = TypeParam;
+  auto split = SplitScene<Pose>(5);
+  split.maps[0].map.forgotten = 3;
+  EXPECT_EQ(Merge(split.maps, split.links, KeepAll<Pose>()).map.forgotten, 0) << "ids do not ascend";
+  split.maps[1].id_offset = -1000;
+  const auto merged = Merge(split.maps, split.links, KeepAll<Pose>());
+  EXPECT_EQ(merged.maps[1].id_offset, -1000);
+  EXPECT_EQ(merged.map.poses.front().id.value, -1000);
+  EXPECT_EQ(merged.map.forgotten, 3);
+  EXPECT_EQ(FindDefect(merged.map), "");
+  EXPECT_TRUE(CompactPoseSlam<Pose>::Restore(merged.map, {}).HasForgotten({-1}));
+  split.maps[1].id_offset = 10;
+  EXPECT_THROW(Merge(split.maps, split.links, KeepAll<Pose>()), std::invalid_argument);
+  split.maps[1].id_offset = std::numeric_limits<std::int64_t>::max();
+  EXPECT_THROW(Merge(split.maps, split.links, KeepAll<Pose>()), std::invalid_argument);
 }
 
 TYPED_TEST(MergeTest, AMapThatNothingHoldsStaysApartAndNoTwoThatAgreeAreAnError) {

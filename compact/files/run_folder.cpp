@@ -126,6 +126,15 @@ class Reader {
     }
   }
 
+  // A kept pose has come in with odometry, but for the first of each robot.
+  void FindStarts() {
+    std::vector<char> follows(run_.ids.size(), 0);
+    for (const RunChain& edge : run_.chain) follows[static_cast<std::size_t>(std::max(edge.from, edge.to))] = 1;
+    for (std::size_t k = 1; k < follows.size(); ++k) {
+      if (run_.kept[k] != 0 && follows[k] == 0) run_.starts.push_back(k);
+    }
+  }
+
   // By id where the stamps are ids, in whatever order; else (kitti: seconds) row by row.
   std::vector<SE3> ReadPosesFrom(const std::string& path) const {
     const Trajectory trajectory = ReadTrajectory(path);
@@ -365,6 +374,7 @@ RunFolder ReadRunFolder(const std::string& path) {
   run.T_world_body = reader.ReadPosesFrom(path + "/trajectory.tum");
   reader.ReadDecisions(path + "/decisions.jsonl");
   WithJsonErrors(graph_path, 0, [&] { reader.ReadEdges(graph); });
+  reader.FindStarts();
   reader.CheckStats(path + "/stats.json");
   reader.ReadSteps(path + "/steps.csv");
   reader.ReadCovariances(path + "/covariances.csv");

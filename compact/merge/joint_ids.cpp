@@ -8,43 +8,65 @@
 namespace terse::internal {
 namespace {
 
+[[noreturn]] void ThrowTooLarge() {
+  throw std::invalid_argument("the ids of the maps are too large to be kept apart in 64 bits");
+}
+
+std::int64_t Moved(PoseId id, std::int64_t offset) {
+  std::int64_t moved = 0;
+  if (__builtin_add_overflow(id.value, offset, &moved)) ThrowTooLarge();
+  return moved;
+}
+
 // The smallest power of ten above n.
 std::int64_t PowerOfTenAbove(std::uint64_t n) {
   std::int64_t power = 10;
   while (static_cast<std::uint64_t>(power) <= n) {
-    if (power > std::numeric_limits<std::int64_t>::max() / 10)
-      throw std::invalid_argument("the ids of the maps are too large to be kept apart in 64 bits");
+    if (power > std::numeric_limits<std::int64_t>::max() / 10) ThrowTooLarge();
     power *= 10;
   }
   return power;
 }
 
+// Of ids as moved.
+struct Spread {
+  std::uint64_t largest = 0;  // without its sign
+  bool any_negative = false, collide = false;
+};
+
+template <class Pose>
+Spread SpreadOf(const std::vector<const CompactMap<Pose>*>& maps, const std::vector<std::int64_t>& offsets) {
+  Spread spread;
+  std::unordered_set<std::int64_t> taken;
+  for (std::size_t k = 0; k < maps.size(); ++k) {
+    for (const auto& pose : maps[k]->poses) {
+      const std::int64_t id = Moved(pose.id, offsets[k]);
+      spread.collide = !taken.insert(id).second || spread.collide;
+      spread.any_negative = spread.any_negative || id < 0;
+      const auto bits = static_cast<std::uint64_t>(id);
+      spread.largest = std::max(spread.largest, id < 0 ? std::uint64_t{0} - bits : bits);
+    }
+  }
+  return spread;
+}
+
 }  // namespace
 
 template <class Pose>
-std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*>& maps) {
-  std::vector<std::int64_t> offsets(maps.size(), 0);
-  std::unordered_set<std::int64_t> taken;
-  std::uint64_t largest = 0;
-  bool any_negative = false, collide = false;
-  for (const CompactMap<Pose>* map : maps) {
-    for (const auto& pose : map->poses) {
-      const std::int64_t id = pose.id.value;
-      collide = !taken.insert(id).second || collide;
-      any_negative = any_negative || id < 0;
-      largest = std::max(largest,
-                         id < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(id) : static_cast<std::uint64_t>(id));
-    }
-  }
-  if (!collide) return offsets;
-  if (largest > std::uint64_t{1} << 62) largest = std::numeric_limits<std::uint64_t>::max() / 2;  // refused below
-  const std::int64_t step = PowerOfTenAbove(any_negative ? 2 * largest : largest);
+std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*>& maps,
+                                       const std::vector<std::optional<std::int64_t>>& given) {
+  std::vector<std::int64_t> offsets;
+  offsets.reserve(given.size());
+  for (const auto& offset : given) offsets.push_back(offset.value_or(0));
+  Spread spread = SpreadOf(maps, offsets);
+  if (!spread.collide) return offsets;
+  if (spread.largest > std::uint64_t{1} << 62) ThrowTooLarge();
+  const std::int64_t step = PowerOfTenAbove(spread.any_negative ? 2 * spread.largest : spread.largest);
   for (std::size_t k = 0; k < maps.size(); ++k) {
-    const auto times = static_cast<std::int64_t>(k);
-    if (times > 0 && step > std::numeric_limits<std::int64_t>::max() / (times + 1))
-      throw std::invalid_argument("the ids of the maps are too large to be kept apart in 64 bits");
-    offsets[k] = times * step;
+    if (!given[k] && __builtin_mul_overflow(static_cast<std::int64_t>(k), step, &offsets[k])) ThrowTooLarge();
   }
+  if (SpreadOf(maps, offsets).collide)
+    throw std::invalid_argument("maps have poses of the same id, moved as their id_offset says");
   return offsets;
 }
 
@@ -100,8 +122,9 @@ CompactMap<Pose> WithOffset(const CompactMap<Pose>& map, std::int64_t offset) {
   return out;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                 \
-  template std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*>&); \
+#define TERSE_INSTANTIATE(Pose)                                                                     \
+  template std::vector<std::int64_t> OffsetsOfIds(const std::vector<const CompactMap<Pose>*>&,      \
+                                                  const std::vector<std::optional<std::int64_t>>&); \
   template CompactMap<Pose> WithOffset(const CompactMap<Pose>&, std::int64_t);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

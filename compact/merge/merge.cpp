@@ -1,5 +1,6 @@
 #include "terse/compact/merge.h"
 
+#include <algorithm>
 #include <stdexcept>
 
 #include "carry.h"
@@ -61,7 +62,7 @@ class Merging {
     const Marginals<Pose> marginals(out_.graph, std::move(result));
     DescribeMaps(maps, placement, joint, marginals);
     DescribeLinks(links, placement, joint, marginals);
-    MakeMap(joint.Map());
+    MakeMap(WithForgotten(joint.Map(), placement));
     for (size_t k = 0; k < maps.size(); ++k) {
       for (const auto& pose : maps[k].map.poses) out_.maps[k].kept += out_.graph.HasPose(pose.id) ? 1 : 0;
     }
@@ -75,6 +76,7 @@ class Merging {
                     const JointGraph<Pose>& joint, const Marginals<Pose>& marginals);
   void DescribeLinks(const std::vector<CarriedLink<Pose>>& links, const MapPlacement<Pose>& placement,
                      const JointGraph<Pose>& joint, const Marginals<Pose>& marginals);
+  CompactMap<Pose> WithForgotten(CompactMap<Pose> joint, const MapPlacement<Pose>& placement) const;
   void MakeMap(const CompactMap<Pose>& joint);
 
   const std::vector<MapToMerge<Pose>>& given_;
@@ -86,8 +88,12 @@ class Merging {
 template <class Pose>
 std::vector<OptimalMap<Pose>> Merging<Pose>::OptimalMaps(double limit) {
   std::vector<const CompactMap<Pose>*> given;
-  for (const auto& map : given_) given.push_back(&map.map);
-  const std::vector<std::int64_t> offsets = internal::OffsetsOfIds(given);
+  std::vector<std::optional<std::int64_t>> given_offsets;
+  for (const auto& map : given_) {
+    given.push_back(&map.map);
+    given_offsets.push_back(map.id_offset);
+  }
+  const std::vector<std::int64_t> offsets = internal::OffsetsOfIds(given, given_offsets);
   std::vector<OptimalMap<Pose>> maps;
   for (size_t k = 0; k < given_.size(); ++k) {
     PlacedMap<Pose> placed;
@@ -170,6 +176,15 @@ void Merging<Pose>::DescribeLinks(const std::vector<CarriedLink<Pose>>& links, c
     }
     out_.links.push_back(out);
   }
+}
+
+// Poses that maps have forgotten are known to be so where ids ascend (CompactMap::forgotten).
+template <class Pose>
+CompactMap<Pose> Merging<Pose>::WithForgotten(CompactMap<Pose> joint, const MapPlacement<Pose>& placement) const {
+  const auto descends = [](const auto& a, const auto& b) { return !(a.id < b.id); };
+  if (std::adjacent_find(joint.poses.begin(), joint.poses.end(), descends) != joint.poses.end()) return joint;
+  for (size_t k = 0; k < given_.size(); ++k) joint.forgotten += placement.IsJoined(k) ? given_[k].map.forgotten : 0;
+  return joint;
 }
 
 // Compacted again, dropped poses recovered in the joint map.

@@ -62,7 +62,7 @@ def made(ellipse):
         terse.calibrate_information(graph)[1], terse.Trajectory(np.arange(3), np.zeros((3, 3))),
         run.slam.add_link(terse.RelativePose(0, 79, [0, 1, 0], covariance=np.full(3, 1e-3))),
         solver.update(poses=[91], factors=[terse.RelativePose(90, 91, [1, 0, 0], covariance=np.full(3, 0.01))]),
-        long_evaluation().kitti,
+        long_evaluation().kitti, terse.MapLink(0, 3, 1, 4, [0, 0, 0], covariance=np.full(3, 1e-3)),
     ]
 
 
@@ -77,7 +77,9 @@ def not_values(ellipse):
     solver = terse.IncrementalSolver(2)
     terse.replay(square()[0], solver)
     small = terse.sparsify(ellipse, poses=0.5)
-    return [terse.GraphReplay(ellipse), terse.solve(ellipse).marginals(), terse.IncrementalMarginals(solver), small]
+    joint = terse.merge([square()[0], square()[0]], [terse.MapLink(0, 3, 1, 3, [0, 0, 0], covariance=np.full(3, 1e-3))])
+    return [terse.GraphReplay(ellipse), terse.solve(ellipse).marginals(), terse.IncrementalMarginals(solver), small, joint,
+            joint.maps[1], joint.links[0]]
 
 
 def test_every_class_says_what_it_holds(ellipse):

@@ -105,10 +105,9 @@ void RunOn(const std::vector<Input>& inputs, const MergeCommandOptions& options,
   for (const Input& input : inputs) maps.push_back({NameOf(input.path), std::get<CompactMap<Pose>>(input.map)});
   std::vector<MapLink<Pose>> links;
   if (!options.links.empty()) links = ReadMapLinks<Pose>(options.links, maps, options.read);
-  for (MapLink<Pose>& link : links) {
-    const InformationScale& scale = inputs[static_cast<std::size_t>(link.from_map)].scale;
-    if (!scale.IsOne()) link.measured = ScaleInformation(link.measured, scale.loops);
-  }
+  std::vector<InformationScale> scales;
+  for (const Input& input : inputs) scales.push_back(input.scale);
+  links = ScaleMapLinks(std::move(links), scales);
   MergeOptions<Pose> merge;
   merge.threads = options.threads;
   if (!options.retire) merge.retire_share = 0;

@@ -83,6 +83,8 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   if (settings.min_variance_drop > 0) json["min_variance_drop"] = settings.min_variance_drop;
   if (settings.strategy == Strategy::kBounded) json["retire_share"] = settings.retire_share;
   if (settings.most_dropped) json[kMostDropped] = *settings.most_dropped;
+  if (options.run.agreeing_links != OnlineRunOptions().agreeing_links)
+    json["agreeing_links"] = options.run.agreeing_links;
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
   json["robust"] = WordOf(settings.solver.robust.kernel);
@@ -214,6 +216,13 @@ void AddOnlineCommand(CLI::App& app) {
       ->check(NumberIn(0.001, 1e6))
       ->type_name("MB");
   command
+      ->add_option("--agreeing-links", options->run.agreeing_links,
+                   "Links to a map received (MAP) that have to agree, not all of one place, before it becomes part of "
+                   "the run's for good")
+      ->check(CLI::Range(2, 1000).description(""))
+      ->type_name("N")
+      ->capture_default_str();
+  command
       ->add_option("--output", options->run.directory,
                    "Folder for compact.g2o, trajectory.tum and decisions.csv at the end of the input")
       ->type_name("DIR");
@@ -231,7 +240,9 @@ void AddOnlineCommand(CLI::App& app) {
   command->footer(
       "A blank line or FLUSH closes the pose at hand, DISCARD gives it up, REMOVE ID takes a link out, COVARIANCE ID "
       "[ID]\n"
-      "answers how well a pose is known (the second seen from the first).\n"
+      "answers how well a pose is known (the second seen from the first). MAP NAME PATH brings another robot's compact "
+      "map,\n"
+      "whose poses are NAME:ID in edges: it becomes part of the run's map when links to it agree.\n"
       "Example: terse generate ellipse --output measurements.g2o &&\n"
       "         terse online --range 10 10 10 1.5 --journal run.journal < measurements.g2o");
   command->callback([options] { Online(*options); });

@@ -166,18 +166,26 @@ class MapPicture {
     Text(left + view_.PanelWidth(), 44, text, " text-anchor=\"end\"");
   }
 
-  void Curve(const std::vector<SE3>& poses, size_t panel, const char* colour, double width) {
-    out_ << "<polyline fill=\"none\" stroke-linejoin=\"round\" stroke=\"" << colour << "\" stroke-width=\"" << width
-         << "\" points=\"";
-    for (const SE3& T : poses) {
-      const Point p = view_.Project(T, panel);
+  // A line for each robot.
+  void Curve(const std::vector<SE3>& poses, const std::vector<size_t>& starts, size_t panel, const char* colour,
+             double width) {
+    auto next = starts.begin();
+    for (size_t k = 0; k < poses.size(); ++k) {
+      const bool is_start = next != starts.end() && *next == k;
+      if (is_start) ++next;
+      if (is_start && k > 0) out_ << "\"/>\n";
+      if (is_start || k == 0) {
+        out_ << "<polyline fill=\"none\" stroke-linejoin=\"round\" stroke=\"" << colour << "\" stroke-width=\"" << width
+             << "\" points=\"";
+      }
+      const Point p = view_.Project(poses[k], panel);
       out_ << p[0] << ',' << p[1] << ' ';
     }
-    out_ << "\"/>\n";
+    if (!poses.empty()) out_ << "\"/>\n";
   }
   void Curves(const RunFolder& run, size_t panel) {
-    if (run.T_world_body_true) Curve(*run.T_world_body_true, panel, kTruth, 1);
-    Curve(run.T_world_body, panel, kEstimate, 1.2);
+    if (run.T_world_body_true) Curve(*run.T_world_body_true, run.starts, panel, kTruth, 1);
+    Curve(run.T_world_body, run.starts, panel, kEstimate, 1.2);
   }
 
   // Bent a little: most loops join places that lie on the trajectory and would hide behind it.

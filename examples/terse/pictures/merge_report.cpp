@@ -87,9 +87,13 @@ void WriteMergeReport(const std::vector<MapToMerge<Pose>>& maps, const Merged<Po
   for (std::size_t k = 0; k < maps.size(); ++k) {
     for (const auto& pose : maps[k].map.poses) map_of[pose.id.value + merged.maps[k].id_offset] = k;
   }
-  out << DrawMaps({Picture("joint map, links between maps", merged.map, [&](const auto& edge) {
+  RunFolder joint = Picture("joint map, links between maps", merged.map, [&](const auto& edge) {
     return map_of.at(edge.measured.from.value) != map_of.at(edge.measured.to.value);
-  })});
+  });
+  for (std::size_t k = 1; k < joint.ids.size(); ++k) {
+    if (map_of.at(joint.ids[k]) != map_of.at(joint.ids[k - 1])) joint.starts.push_back(k);
+  }
+  out << DrawMaps({joint});
   for (const auto& map : maps) {
     out << '\n' << DrawMaps({Picture(map.name, map.map, [](const auto& edge) { return edge.is_loop; })});
   }

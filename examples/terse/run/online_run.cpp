@@ -9,16 +9,20 @@
 
 #include "run/compact_stats.h"
 #include "run/online_json.h"
+#include "run/received_maps.h"
 #include "run/run_statistics.h"
 #include "run/standard_output.h"
 #include "terse/compact/compact_json.h"
 #include "terse/compact/json_file.h"
+#include "terse/compact/map_file.h"
 #include "terse/compact/run_writer.h"
+#include "terse/core/atomic_file.h"
 #include "terse/core/crc32.h"
 #include "terse/core/measurement_line.h"
 #include "terse/core/read_file.h"
 #include "terse/core/require_optimum.h"
 #include "terse/core/stamped_trajectory.h"
+#include "terse/core/text_lines.h"
 #include "terse/covariance/covariance_table.h"
 
 namespace terse {
@@ -35,7 +39,7 @@ ordered_json ParseHeader(const Journal& journal) {
 namespace {
 
 constexpr const char* kSource = LineSource::kName;
-constexpr const char* kSnapshot = "snapshot";  // in a journal's header
+constexpr const char *kSnapshot = "snapshot", *kReceivedMaps = "received_maps";  // in a journal's header
 
 template <class Pose>
 class OnlineRun {
@@ -45,6 +49,7 @@ class OnlineRun {
       : options_(options),
         slam_(settings),
         stream_(slam_),
+        maps_(slam_, stream_, options.agreeing_links, kSource, options.read),
         reader_(kSource, options.read),
         header_(std::move(header)),
         journal_(journal) {}
@@ -55,7 +60,7 @@ class OnlineRun {
     while (const std::optional<std::string> line = journal_->ReadLine()) {
       ++number;
       try {
-        Note(Apply(*line, number));
+        Note(IsCommand(*line, kReceived) ? TakeReceived(*line) : Apply(*line, number));
       } catch (const std::exception& error) {
         throw FileError(journal_->Path(), number + 2, std::string("the line does not fit: ") + error.what());
       }
@@ -81,9 +86,10 @@ class OnlineRun {
     if (IsRequest(text)) return Answer(text, line.number);
     const double before = SecondsNow();
     const std::optional<PoseId> open = stream_.Open();
-    std::vector<StreamOutcome> outcomes;
+    std::string record = IsFlush(text) ? kFlush : text;
+    Outcome outcome;
     try {
-      outcomes = Apply(text, line.number);
+      outcome = IsCommand(text, kMap) ? ReceiveMap(text, line.number, record) : Apply(text, line.number);
     } catch (const NumericalError& error) {
       const std::string way_out = open ? "; DISCARD gives up pose " + std::to_string(open->value) : "";
       return Refuse(FileError(kSource, line.number, error.what() + way_out));
@@ -92,13 +98,13 @@ class OnlineRun {
     } catch (const std::invalid_argument& error) {
       return Refuse(FileError(kSource, line.number, error.what()));
     }
-    if (journal_ != nullptr) journal_->Append(IsFlush(text) ? kFlush : text);
+    if (journal_ != nullptr) journal_->Append(record);
     lines_ += !IsFlush(text);
-    Note(outcomes);
+    Note(outcome);
     if (text == kDiscard) return Print({{"discarded", IdOrNull(open)}});
-    if (outcomes.empty()) return;
+    if (outcome.stream.empty() && outcome.answers.empty()) return;
     if (journal_ != nullptr) journal_->Sync();
-    if (!options_.quiet) Report(outcomes, SecondsNow() - before);
+    if (!options_.quiet) Report(outcome, SecondsNow() - before);
     if (journal_ != nullptr && journal_->Bytes() > most_journal_bytes_) RotateJournal();
   }
 
@@ -110,6 +116,11 @@ class OnlineRun {
   void Finish() {
     Take({kFlush});
     if (journal_ != nullptr) journal_->Sync();
+    for (const std::string& name : maps_.Names(false)) {
+      if (!options_.quiet)
+        std::cerr << "terse: warning: the map " << name
+                  << " still waits for links that agree: the run's is without it\n";
+    }
     if (options_.directory.empty()) return;
     if (slam_.PosesSeen() == 0) throw FileError(kSource, 0, "no measurement came: there is nothing to write");
     // Not in the journal: a run that goes on from there goes on with the poses.
@@ -131,6 +142,7 @@ class OnlineRun {
   }
 
   static constexpr char kFlush[] = "FLUSH", kDiscard[] = "DISCARD";
+  using Outcome = typename ReceivedMaps<Pose>::Outcome;
 
   // A snapshot stands for the lines so far, and the journal begins anew. The two last snapshots take turns, so that the
   // one that the journal on disk names is there whenever the run is killed. One whose trajectory is to be written needs
@@ -143,9 +155,11 @@ class OnlineRun {
     ordered_json header = header_;
     header[kSnapshot] = {{"number", snapshots_}, {"crc32", Crc32(ReadAll(path))}, {"lines", lines_}};
     header[kSnapshot]["last_pose"] = IdOrNull(last_);
+    header[kSnapshot][kReceivedMaps] = maps_.ToJson();
     journal_->Restart(header.dump());
     std::error_code ignored;
     std::filesystem::remove(SnapshotPath(snapshots_ + 1), ignored);
+    for (const std::string& name : maps_.Names(true)) std::filesystem::remove(CopyPath(name), ignored);
     // A snapshot is as large as the map: so the work is a share of that of the lines.
     most_journal_bytes_ =
         std::max(options_.journal_bytes, 4 * static_cast<long>(std::filesystem::file_size(path, ignored)));
@@ -171,6 +185,9 @@ class OnlineRun {
       throw FileError(path, 0, "not the snapshot that the journal " + journal_->Path() + " goes on from");
     }
     stream_ = MeasurementStream<Pose>::Load(path, slam_);
+    if (snapshot.contains(kReceivedMaps)) {
+      maps_.FromJson(snapshot[kReceivedMaps], [&](const std::string& name) { return ReadCompactMap(CopyPath(name)); });
+    }
     if (const ordered_json last = snapshot.value("last_pose", ordered_json()); last.is_number_integer()) {
       last_ = PoseId{last.get<std::int64_t>()};
     }
@@ -180,25 +197,79 @@ class OnlineRun {
     }
   }
 
-  static bool IsFlush(const std::string& text) { return text.empty() || text == kFlush; }
-  static bool IsRequest(const std::string& text) {
-    const std::size_t size = kCovariance.size();
-    if (text.compare(0, size, kCovariance) != 0) return false;
-    return text.size() == size || std::string_view(kBlanks).find(text[size]) != std::string_view::npos;
+  // MAP NAME PATH: a compact map of another robot, a run's folder or the graph.json of one. A journal has a copy beside
+  // it, and says which.
+  Outcome ReceiveMap(const std::string& text, long number, std::string& record) {
+    std::istringstream words(text);
+    std::string command, name, path;
+    words >> command >> name >> std::ws;
+    std::getline(words, path);
+    if (name.empty() || path.empty()) throw FileError(kSource, number, "expected MAP NAME PATH");
+    maps_.RequireFree(name);
+    if (std::filesystem::is_directory(path)) path += "/graph.json";
+    if (journal_ == nullptr) return Receive(name, ReadCompactMap(path));
+    const std::string copy = CopyPath(name), bytes = ReadText(path);
+    AtomicFile file(copy);
+    file.Stream() << bytes;
+    file.Commit();
+    record = std::string(kReceived) + ' ' + name + ' ' + std::to_string(Crc32(bytes));
+    try {
+      return Receive(name, ReadCompactMap(copy));
+    } catch (const FileError& error) {
+      std::filesystem::remove(copy);
+      throw FileError(path, error.line(), error.cause());
+    } catch (const std::exception&) {
+      std::filesystem::remove(copy);
+      throw;
+    }
   }
+  Outcome TakeReceived(const std::string& text) {
+    std::istringstream words(text);
+    std::string command, name;
+    std::uint32_t sum = 0;
+    words >> command >> name >> sum;
+    const std::string copy = CopyPath(name);
+    if (Crc32(ReadText(copy)) != sum)
+      throw FileError(copy, 0, "not the map that the journal " + journal_->Path() + " was given");
+    return Receive(name, ReadCompactMap(copy));
+  }
+  Outcome Receive(const std::string& name, const CompactMapFile& file) {
+    ordered_json answer = maps_.Receive(name, file, !options_.directory.empty());
+    Outcome outcome = maps_.Update();
+    outcome.answers.insert(outcome.answers.begin(), std::move(answer));
+    return outcome;
+  }
+  std::string CopyPath(const std::string& name) const { return journal_->Path() + ".map-" + name; }
+
+  static bool IsCommand(const std::string& text, std::string_view command) { return FirstField(text) == command; }
+  static bool IsFlush(const std::string& text) { return text.empty() || text == kFlush; }
+  static bool IsRequest(const std::string& text) { return IsCommand(text, kCovariance); }
   static bool IsComment(const std::string& text) { return text[0] == '#' || text.compare(0, 2, "//") == 0; }
 
-  std::vector<StreamOutcome> Apply(const std::string& text, long number) {
-    if (IsFlush(text)) return stream_.Flush();
+  Outcome Apply(const std::string& text, long number) {
+    Outcome outcome;
     if (text == kDiscard) {
       if (!stream_.Open()) throw FileError(kSource, number, "DISCARD, but no pose is open");
+      maps_.Discard(*stream_.Open());
       stream_.Discard();
-      return {};
+      return outcome;
     }
-    if (text.compare(0, kRemove.size(), kRemove) == 0) {
+    if (IsFlush(text)) {
+      outcome.stream = stream_.Flush();
+    } else if (ReceivedMaps<Pose>::IsLink(text)) {
+      outcome = maps_.AddLink(text, number);
+    } else if (text.compare(0, kRemove.size(), kRemove) == 0) {
       RemoveLink(Trimmed(text.substr(kRemove.size())), number);
-      return {};
+    } else {
+      outcome.stream = Measure(text, number);
     }
+    Outcome joined = maps_.Update();
+    std::move(joined.stream.begin(), joined.stream.end(), std::back_inserter(outcome.stream));
+    std::move(joined.answers.begin(), joined.answers.end(), std::back_inserter(outcome.answers));
+    return outcome;
+  }
+
+  std::vector<StreamOutcome> Measure(const std::string& text, long number) {
     const MeasurementLine<Pose> line = reader_.Read(text, number);
     if (!options_.directory.empty()) RequireStamps(line);  // not at the end of a long run
     if (const auto* factor = std::get_if<Factor<Pose>>(&line)) return stream_.Add(*factor);
@@ -271,21 +342,25 @@ class OnlineRun {
     return poses;
   }
 
-  void Report(const std::vector<StreamOutcome>& outcomes, double seconds) {
-    for (const StreamOutcome& outcome : outcomes) {
-      ordered_json json = ToJson(outcome, slam_);
-      const auto* decision = std::get_if<Decision>(&outcome);
+  void Report(const Outcome& outcome, double seconds) {
+    for (const StreamOutcome& of_stream : outcome.stream) {
+      ordered_json json = ToJson(of_stream, slam_);
+      const auto* decision = std::get_if<Decision>(&of_stream);
       if (decision != nullptr && options_.covariances) {
         json["covariance"] = CovarianceOrNull(decision->id);
       }
       json["seconds"] = seconds;
       Print(json);
     }
+    for (ordered_json json : outcome.answers) {
+      json["seconds"] = seconds;
+      Print(json);
+    }
   }
 
-  void Note(const std::vector<StreamOutcome>& outcomes) {
-    for (const StreamOutcome& outcome : outcomes) {
-      const auto* decision = std::get_if<Decision>(&outcome);
+  void Note(const Outcome& outcome) {
+    for (const StreamOutcome& of_stream : outcome.stream) {
+      const auto* decision = std::get_if<Decision>(&of_stream);
       if (decision == nullptr) continue;
       last_ = decision->id;
       if (!options_.directory.empty()) decisions_.push_back(*decision);
@@ -307,11 +382,13 @@ class OnlineRun {
     FlushOutput();
   }
 
-  static constexpr std::string_view kRemove = "REMOVE ", kCovariance = "COVARIANCE";
+  static constexpr std::string_view kRemove = "REMOVE ", kCovariance = "COVARIANCE", kMap = "MAP",
+                                    kReceived = "RECEIVED";  // as the journal has MAP
 
   const OnlineRunOptions& options_;
   CompactPoseSlam<Pose> slam_;
   MeasurementStream<Pose> stream_;
+  ReceivedMaps<Pose> maps_;
   MeasurementLineReader<Pose> reader_;
   ordered_json header_;  // what the journal's lines mean depends on
   Journal* journal_;

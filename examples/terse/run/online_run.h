@@ -15,6 +15,7 @@ namespace terse {
 struct OnlineRunOptions {
   std::string directory;                  // for outputs at the end; none if empty
   long journal_bytes = 64 * 1000 * 1000;  // beyond which the journal begins anew
+  int agreeing_links = 5;                 // that make a received map part of the run's
   Recovery recovery = Recovery::kV2;
   ReadOptions read;
   CovarianceConvention convention;

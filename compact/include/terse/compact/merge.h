@@ -17,7 +17,8 @@
 //    truncated least squares over all links has the last word.
 // 5. Poses retire where the joint map is denser than needed (retire_poses.h).
 //
-// Ids: maps[0] keeps its own. Those of the others are moved where maps use the same ones (PlacedMap::id_offset).
+// Ids: maps[0] keeps its own. Those of the others are moved where maps use the same ones (PlacedMap::id_offset). A run
+// that forgets dropped poses goes on doing so only in a joint map whose ids ascend: MapToMerge::id_offset below zero.
 // Deterministic. Memory and time grow with poses and links, but for the comparison of pairs, which takes so many links
 // of two maps at most.
 
@@ -35,6 +36,8 @@ template <class Pose>
 struct MapToMerge {
   std::string name;  // for messages
   CompactMap<Pose> map;
+  // What is added to its ids; absent: chosen so that no two maps have the same.
+  std::optional<std::int64_t> id_offset = {};
 };
 
 // Between two maps: measured.from is a pose of maps[from_map], by the id that it has there. Poses that the map has
@@ -120,8 +123,8 @@ CompactMap<Pose> MapOfGraph(const PoseGraph<Pose>& graph, int threads = 1);
 
 // Maps that nothing holds to the largest group stay apart (of groups as large that of maps[0]). Throws
 // std::invalid_argument if there are fewer than two maps, a map contradicts itself or has no kept pose, a link names a
-// map or pose that there is not or is defective, or an option is out of its domain; NumericalError if no two maps hold
-// together, or if a map has no optimum.
+// map or pose that there is not or is defective, an option is out of its domain, or ids are the same as moved or leave
+// 64 bits; NumericalError if no two maps hold together, or if a map has no optimum.
 template <class Pose>
 Merged<Pose> Merge(const std::vector<MapToMerge<Pose>>& maps, const std::vector<MapLink<Pose>>& links,
                    const MergeOptions<Pose>& options = {});

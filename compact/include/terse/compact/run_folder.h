@@ -75,6 +75,8 @@ struct RunFolder {
   std::vector<std::int64_t> ids;
   std::vector<char> kept;
   std::vector<SE3> T_world_body;
+  // In a map of several robots: the places, ascending, of poses at which another one's begin; the first is none.
+  std::vector<std::size_t> starts;
   // Laid over the estimate, where the run was given the true poses.
   std::optional<std::vector<SE3>> T_world_body_true;
   std::vector<RunLink> links;
