@@ -4,6 +4,7 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "terse/compact/contradicted_loops.h"
 #include "terse/core/require_optimum.h"
 
 namespace terse {
@@ -85,11 +86,24 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, c
   CompactOptions<Pose> options;
   options.strategy = strategy;
   const InformationScale scale = CalibrateInformation(graph).scale;
-  const PoseGraph<Pose> scaled = scale.IsOne() ? graph : ScaleInformation(graph, scale);
+  PoseGraph<Pose> seen = scale.IsOne() ? graph : ScaleInformation(graph, scale);
   if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
   options.solver.robust = MapRobust({DefaultKernel(strategy)}, options);
-  SampleThresholds(scaled, options);
-  CompactRun<Pose> run = CompactGraph(scaled, options, after_step);
+  const auto run_once = [&] {
+    SampleThresholds(seen, options);
+    return CompactGraph(seen, options, after_step);
+  };
+  CompactRun<Pose> run = run_once();
+  if (options.solver.robust.kernel == RobustKernel::kGnc && AreLoopsInDoubt(run)) {
+    BatchOptions judge;
+    judge.robust = options.solver.robust;
+    const std::vector<FactorId> left_out = ContradictedLoops(seen, judge);
+    if (!left_out.empty()) {
+      seen = WithoutFactors(std::move(seen), left_out);
+      run = run_once();
+      run.loops_left_out = left_out;
+    }
+  }
   run.information_scale = scale;
   return run;
 }

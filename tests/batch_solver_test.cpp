@@ -82,7 +82,9 @@ TYPED_TEST(BatchSolverTest, TellsHowFarAFactorisationIs) {
     EXPECT_GT(shares[k], 0);
     EXPECT_LT(shares[k], 1 + 1e-9);
     const bool is_last = k + 1 == shares.size() || shares[k + 1] < shares[k];
-    if (is_last) EXPECT_NEAR(shares[k], 1, 1e-9);
+    if (is_last) {
+      EXPECT_NEAR(shares[k], 1, 1e-9);
+    }
     whole += is_last;
   }
   EXPECT_GE(whole, steps);

@@ -234,8 +234,10 @@ bool LoopJudge<Pose>::AdmitLoops(Loops loops, StepContext<Pose>& step) {
   }
   bool changed = false;
   for (size_t first = 0; first < loops.size(); first += kMostJudged) {
-    Loops block(loops.begin() + static_cast<long>(first),
-                loops.begin() + static_cast<long>(std::min(loops.size(), first + kMostJudged)));
+    Loops block;
+    for (size_t k = first; k < std::min(loops.size(), first + kMostJudged); ++k) {
+      if (step.map.SlotOf(loops[k].id) < 0) block.push_back(loops[k]);  // else an earlier block's contest brought it in
+    }
     const auto is_refused = [&](const Loop& loop) { return IsRefusedByOdometry(loop.id, step.map); };
     const auto first_refused = std::stable_partition(block.begin(), block.end(), std::not_fn(is_refused));
     const auto heard = static_cast<size_t>(first_refused - block.begin());

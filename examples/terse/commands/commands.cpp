@@ -66,10 +66,14 @@ void AddRobustOptions(CLI::App& subcommand, CompactRobust& robust) {
   robust.kernel = kernel;
 }
 
+RobustKernel CompactRobust::Kernel(Strategy strategy) const {
+  return kernel == nullptr || kernel->count() == 0 ? DefaultKernel(strategy) : options.kernel;
+}
+
 template <class Pose>
 RobustOptions CompactRobust::For(const CompactOptions<Pose>& map) const {
   RobustOptions robust = options;
-  if (kernel == nullptr || kernel->count() == 0) robust.kernel = DefaultKernel(map.strategy);
+  robust.kernel = Kernel(map.strategy);
   return MapRobust(robust, map);
 }
 template RobustOptions CompactRobust::For(const CompactOptions<SE2>&) const;

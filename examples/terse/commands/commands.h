@@ -54,6 +54,7 @@ struct CompactRobust {
   const CLI::Option* kernel = nullptr;
   template <class Pose>
   RobustOptions For(const CompactOptions<Pose>& map) const;
+  RobustKernel Kernel(Strategy strategy) const;
 };
 void AddRobustOptions(CLI::App& subcommand, CompactRobust& robust);
 

@@ -10,10 +10,12 @@
 #include "run/compact_run.h"
 #include "run/compact_stats.h"
 #include "run/ground_truth.h"
+#include "run/progress.h"
 #include "run/run_statistics.h"
 #include "run/standard_output.h"
 #include "terse/compact/compact_json.h"
 #include "terse/compact/compact_map.h"
+#include "terse/compact/contradicted_loops.h"
 #include "terse/compact/json_file.h"
 #include "terse/compact/map_file.h"
 #include "terse/compact/random_choice.h"
@@ -224,19 +226,75 @@ Calibrated<Pose> Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& bef
   } else {
     out.report = {{"verdict", "off"}, {"sigma_scale", ToJson(out.scale)}};
   }
-  if (!out.scale.IsOne()) out.graph = ScaleInformation(graph, out.scale);
+  out.graph = out.scale.IsOne() ? graph : ScaleInformation(graph, out.scale);
   if (!out.scale.IsOne() && !options.quiet) std::cerr << "terse: note: " << options.path << ": " << message << '\n';
   return out;
+}
+
+// One run over a graph.
+template <class Pose>
+struct Attempt {
+  CompactRun<Pose> run;
+  StepRecorder<Pose> recorder;
+  nlohmann::ordered_json sample;  // of stats.json
+  int links_before;               // of the map that it went on with
+};
+
+template <class Pose>
+Attempt<Pose> RunOnce(const PoseGraph<Pose>& graph, GraphReplay<Pose>& replay, const CompactMap<Pose>& before,
+                      const CompactCommandOptions& options, const TruePoses* known) {
+  nlohmann::ordered_json sample;
+  const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, sample);
+  if (settings.strategy == Strategy::kGiven) ChooseAtRandom(graph, settings, options, replay);
+  StepRecorder<Pose> recorder(static_cast<int>(replay.Inputs().size()), known);
+  CompactPoseSlam<Pose> slam = StartFrom(before, settings, options);
+  const int links_before = slam.LinksKept();
+  CompactRun<Pose> run = RunWithProgress<Pose>(
+      std::move(slam), replay, "poses", options.quiet,
+      [&](const CompactPoseSlam<Pose>& now, const Decision& decision, double s) { recorder.Add(now, decision, s); });
+  return {std::move(run), std::move(recorder), std::move(sample), links_before};
+}
+
+// Takes the loops out of the graph that gnc leaves out of the whole, and says which.
+template <class Pose>
+nlohmann::ordered_json JudgeLoops(PoseGraph<Pose>& graph, const CompactRun<Pose>& run,
+                                  const CompactCommandOptions& options) {
+  Progress progress("judging loops, iterations", 0, options.quiet);
+  progress.Say(
+      "terse: note: " + options.path + ": " + std::to_string(run.links_refused) + " of " +
+      std::to_string(run.links_offered) +
+      " loops contradict the map: all are judged at the optimum of the whole, and the map is made again without "
+      "those that are wrong there");
+  BatchOptions batch;
+  batch.robust = run.slam.Options().solver.robust;
+  batch.log = options.log;
+  batch.progress = [&](int iteration, double) {
+    progress.Update(iteration);
+    return true;
+  };
+  const double before = SecondsNow();
+  const std::vector<FactorId> left_out = ContradictedLoops(graph, batch);
+  nlohmann::ordered_json report = {{"loops", LoopFactors(graph).size()},
+                                   {"refused_by_first_map", run.links_refused},
+                                   {"left_out", left_out.size()},
+                                   {"seconds", SecondsNow() - before},
+                                   {"links", nlohmann::ordered_json::array()}};
+  for (const FactorId id : left_out) {
+    const FactorPoses ends = PosesOf(graph.FindFactor(id)->factor);
+    report["links"].push_back({{"from", ends.first.value}, {"to", ends.second.value}});
+  }
+  graph = WithoutFactors(std::move(graph), left_out);
+  return report;
 }
 
 template <class Pose>
 void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, CompactCommandOptions options,
            double seconds_read, double start) {
-  const Calibrated<Pose> calibrated = Calibrate(file_graph, before, options);
+  Calibrated<Pose> calibrated = Calibrate(file_graph, before, options);
   if (!calibrated.scale.IsOne() && options.innovation_quantile == kInnovationQuantile) {
     options.innovation_quantile = kInnovationQuantileOfScaled;
   }
-  const PoseGraph<Pose>& graph = calibrated.scale.IsOne() ? file_graph : calibrated.graph;
+  PoseGraph<Pose>& graph = calibrated.graph;
   std::vector<PoseId> seen;
   for (const auto& pose : before.map.poses) seen.push_back(pose.id);
   GraphReplay<Pose> replay = seen.empty() ? GraphReplay<Pose>(graph) : GraphReplay<Pose>(graph, seen);
@@ -248,29 +306,33 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   for (const auto& input : replay.Inputs()) RequireStampId(input.id);
   const auto truth = ReadTruthOfAll(before.map, replay, options.ground_truth);
   const TruePoses* known = truth ? &*truth : nullptr;
-  nlohmann::ordered_json sample;
-  const CompactOptions<Pose> settings = MakeOptions(graph, replay, options, sample);
-  if (settings.strategy == Strategy::kGiven) ChooseAtRandom(graph, settings, options, replay);
-  StepRecorder<Pose> recorder(static_cast<int>(replay.Inputs().size()), known);
-  CompactPoseSlam<Pose> slam = StartFrom(before.map, settings, options);
-  const int links_before = slam.LinksKept();
-  CompactRun<Pose> run = RunWithProgress<Pose>(
-      std::move(slam), replay, "poses", options.quiet,
-      [&](const CompactPoseSlam<Pose>& now, const Decision& decision, double s) { recorder.Add(now, decision, s); });
+  auto attempt = std::make_unique<Attempt<Pose>>(RunOnce(graph, replay, before.map, options, known));
+  nlohmann::ordered_json judged;
+  const bool may_judge = seen.empty() && options.robust.Kernel(*options.strategy) == RobustKernel::kGnc;
+  if (may_judge && AreLoopsInDoubt(attempt->run)) {
+    judged = JudgeLoops(graph, attempt->run, options);
+    if (!judged["links"].empty()) {
+      attempt.reset();
+      replay = GraphReplay<Pose>(graph);
+      attempt = std::make_unique<Attempt<Pose>>(RunOnce(graph, replay, before.map, options, known));
+    }
+  }
+  CompactRun<Pose>& run = attempt->run;
   if (options.retire) RetireFrom(run, *options.retire);
   const RunTrajectories trajectories = MakeRunTrajectories(run.slam, options.recovery, known);
   Stats stats = MakeStats(graph, run, EvaluateRun(trajectories, Pose::kDim));
   stats.more["information"] = calibrated.report;
-  if (!sample.is_null()) stats.more["sample"] = sample;
+  if (!judged.is_null()) stats.more["loops_judged"] = judged;
+  if (!attempt->sample.is_null()) stats.more["sample"] = attempt->sample;
   if (!seen.empty()) {
-    stats.more["continued"] = {{"poses", seen.size()}, {"links_kept", links_before}};
-    stats.more["links_offered"] = run.links_offered + links_before;
+    stats.more["continued"] = {{"poses", seen.size()}, {"links_kept", attempt->links_before}};
+    stats.more["links_offered"] = run.links_offered + attempt->links_before;
   }
   stats.seconds_read = seconds_read;
   const RunResults<Pose> results{run.slam,
                                  run.result,
                                  run.decisions,
-                                 recorder.Steps(),
+                                 attempt->recorder.Steps(),
                                  trajectories,
                                  options.recovery,
                                  options.read.rotation_information,

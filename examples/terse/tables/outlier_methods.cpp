@@ -5,6 +5,7 @@
 
 #include "run/run_statistics.h"
 #include "terse/compact/compact_graph.h"
+#include "terse/compact/contradicted_loops.h"
 #include "terse/core/number_text.h"
 #include "terse/core/replay.h"
 #include "terse/core/words.h"
@@ -87,7 +88,15 @@ class MethodRun {
     const InformationScale scale = CalibrateInformation(with_.graph).scale;
     if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
     options.solver.robust = MapRobust(Robust(), options);
-    const PoseGraph<Pose> scaled = scale.IsOne() ? with_.graph : ScaleInformation(with_.graph, scale);
+    PoseGraph<Pose> scaled = scale.IsOne() ? with_.graph : ScaleInformation(with_.graph, scale);
+    SampleThresholds(scaled, options);
+    CompactRun<Pose> run = CompactGraph(scaled, options, watch);
+    if (method_.kernel != RobustKernel::kGnc || !AreLoopsInDoubt(run)) return run;
+    BatchOptions batch;
+    batch.robust = options.solver.robust;
+    batch.progress = [this](int, double) { return !limit_.IsOver(); };
+    scaled = WithoutFactors(scaled, ContradictedLoops(scaled, batch));
+    limit_.Check();
     SampleThresholds(scaled, options);
     return CompactGraph(scaled, options, watch);
   }
@@ -97,7 +106,7 @@ class MethodRun {
     TakeTrajectory(run.slam.Trajectory());
     out_.step_seconds = run.step_seconds;
     out_.loops.wrong_loops = static_cast<int>(with_.wrong.size());
-    out_.loops.true_loops = run.links_offered - out_.loops.wrong_loops;
+    out_.loops.true_loops = static_cast<int>(LoopFactors(with_.graph).size() - with_.wrong.size());
     // Whose factors they are part of.
     std::map<std::int64_t, double> weights;
     for (const auto& edge : run.slam.Export().edges) {

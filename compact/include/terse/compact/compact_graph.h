@@ -20,9 +20,10 @@ struct CompactRun {
   std::vector<double> step_seconds;  // of AddPose
   int links_offered = 0;             // edges beside the odometry
   int registrations_tried = 0, links_refused = 0;
-  std::vector<RetiredPose> retired;         // at the end, as CompactOptions::retire_share has it
-  BatchResult<Pose> result;                 // of the kept graph
-  InformationScale information_scale = {};  // of what the run saw, against the graph: CompactGraph with a strategy
+  std::vector<RetiredPose> retired;           // at the end, as CompactOptions::retire_share has it
+  BatchResult<Pose> result;                   // of the kept graph
+  InformationScale information_scale = {};    // of what the run saw, against the graph: CompactGraph with a strategy
+  std::vector<FactorId> loops_left_out = {};  // before the run, which did not see them; likewise
 
   int PosesKept() const { return static_cast<int>(slam.Solver().Graph().Poses().size()); }
   int LinksKept() const { return slam.LinksKept(); }
@@ -69,7 +70,9 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions
                               const AfterStep<Pose>& after_step = nullptr);
 // With thresholds from a sample of the graph (SampleThresholds), the strategy's kernel, all else as CompactOptions has
 // it, and as the command does: information that nobody estimated and that the residuals contradict is scaled first
-// (CalibrateInformation), of which CompactRun::information_scale tells. With the options above nothing is scaled.
+// (CalibrateInformation), of which CompactRun::information_scale tells. Where the map refuses many links and the
+// strategy has kGnc, all are judged at the optimum of the whole and the map is made anew (contradicted_loops.h), so
+// that `after_step` hears of every pose twice. With the options above nothing of this happens.
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kBounded,
                               const AfterStep<Pose>& after_step = nullptr);

@@ -1,0 +1,53 @@
+#include "terse/compact/contradicted_loops.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "terse/core/residual.h"
+#include "terse/core/robust.h"
+
+namespace terse {
+namespace {
+
+constexpr int kLeastRefused = 3;
+constexpr double kDoubtfulShare = 0.02;
+// Widths. True loops that gnc leaves out are seldom farther off, wrong ones, local ones too, in 99 of 100 cases.
+constexpr double kByFar = 10;
+
+}  // namespace
+
+template <class Pose>
+bool AreLoopsInDoubt(const CompactRun<Pose>& run) {
+  return run.links_refused >= kLeastRefused && run.links_refused > kDoubtfulShare * run.links_offered;
+}
+
+template <class Pose>
+std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const BatchOptions& options) {
+  const BatchResult<Pose> result = SolveBatch(graph, options);
+  std::vector<FactorId> out;
+  if (result.weights.empty()) return out;
+  const double limit = std::pow(kByFar * result.robust_width, 2);
+  const auto value = [&](PoseId id) { return result.T_world_body[static_cast<std::size_t>(graph.IndexOf(id))]; };
+  for (const FactorId id : LoopFactors(graph)) {
+    const auto* loop = std::get_if<RelativePoseFactor<Pose>>(&graph.FindFactor(id)->factor);
+    if (loop != nullptr && FactorChi2<Pose>(*loop, value(loop->from), value(loop->to)) > limit) out.push_back(id);
+  }
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+template <class Pose>
+PoseGraph<Pose> WithoutFactors(PoseGraph<Pose> graph, const std::vector<FactorId>& ids) {
+  for (const FactorId id : ids) graph.RemoveFactor(id);
+  return graph;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                        \
+  template bool AreLoopsInDoubt<Pose>(const CompactRun<Pose>&);                                        \
+  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, const BatchOptions&); \
+  template PoseGraph<Pose> WithoutFactors<Pose>(PoseGraph<Pose>, const std::vector<FactorId>&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse

@@ -1,0 +1,31 @@
+#pragma once
+// Loops of a finished graph that are judged before a map is made of it.
+//
+// A map that grows hears of a loop once, when it comes, and what it refuses is no evidence for anything later. Where
+// many loops are wrong, an early one that nothing contradicts yet bends the map, and true ones are refused for it. A
+// file has all its loops at once: where a first map refuses many, all are judged by gnc at the optimum of the whole
+// (batch_solver.h), and those that it contradicts never come to the map that is made then.
+
+#include <vector>
+
+#include "terse/compact/compact_graph.h"
+
+namespace terse {
+
+// More than one link in fifty, and not only one or two, was refused. Maps of public graphs without wrong loops refuse
+// one in two hundred at most; a tenth of wrong ones makes it one in fifteen.
+template <class Pose>
+bool AreLoopsInDoubt(const CompactRun<Pose>& run);
+
+// Loops that the optimum of the whole under gnc contradicts by far, ascending: beyond ten times the kernel's
+// width. What is nearer the map judges for itself; slips of the odometry are not among them. Takes as long as
+// that solution does, some ten times what the map takes with half of the loops wrong. `options`: with the kernel that
+// the map has (CompactOptions::solver.robust), which is kGnc. Throws std::invalid_argument as SolveBatch does.
+template <class Pose>
+std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const BatchOptions& options);
+
+// A copy without these factors, the others under their ids.
+template <class Pose>
+PoseGraph<Pose> WithoutFactors(PoseGraph<Pose> graph, const std::vector<FactorId>& ids);
+
+}  // namespace terse
