@@ -95,9 +95,7 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, c
   };
   CompactRun<Pose> run = run_once();
   if (options.solver.robust.kernel == RobustKernel::kGnc && AreLoopsInDoubt(run)) {
-    BatchOptions judge;
-    judge.robust = options.solver.robust;
-    const std::vector<FactorId> left_out = ContradictedLoops(seen, judge);
+    const std::vector<FactorId> left_out = ContradictedLoops(seen, run);
     if (!left_out.empty()) {
       seen = WithoutFactors(std::move(seen), left_out);
       run = run_once();

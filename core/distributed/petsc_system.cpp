@@ -44,6 +44,7 @@ PetscSession::PetscSession(const std::vector<std::string>& options) {
   std::vector<std::string> words{"terse"};
   words.insert(words.end(), options.begin(), options.end());
   std::vector<char*> argv;
+  argv.reserve(words.size() + 1);
   for (std::string& word : words) argv.push_back(word.data());
   int argc = static_cast<int>(argv.size());
   argv.push_back(nullptr);
@@ -63,6 +64,7 @@ std::vector<std::string> PetscSession::UnusedOptions() const {
   char **names = nullptr, **values = nullptr;
   internal::Check(PetscOptionsLeftGet(nullptr, &count, &names, &values));
   std::vector<std::string> out;
+  out.reserve(static_cast<std::size_t>(count));
   for (PetscInt k = 0; k < count; ++k) out.push_back(std::string("-") + names[k]);
   internal::Check(PetscOptionsLeftRestore(nullptr, &count, &names, &values));
   return out;

@@ -64,12 +64,11 @@ void RequireSameFile(MPI_Comm ranks, const std::string& path) {
   MPI_Allgather(mine, 2, MPI_UINT64_T, all.data(), 2, MPI_UINT64_T, ranks);
   for (std::size_t r = 1; 2 * r < all.size(); ++r) {
     if (all[2 * r] == all[0] && all[2 * r + 1] == all[1]) continue;
-    const std::string sizes = all[2 * r] == all[0]
-                                  ? "both of " + std::to_string(all[0]) + " bytes"
-                                  : std::to_string(all[0]) + " and " + std::to_string(all[2 * r]) + " bytes";
-    throw RankError(RankError::Kind::kInput, path + ": ranks 0 and " + std::to_string(r) +
-                                                 " read different files under this path, " + sizes +
-                                                 "; expected the same file on every machine");
+    std::string cause = path;
+    cause.append(": ranks 0 and ").append(std::to_string(r)).append(" read different files under this path, of ");
+    cause.append(std::to_string(all[0])).append(" and ").append(std::to_string(all[2 * r]));
+    cause.append(" bytes; expected the same file on every machine");
+    throw RankError(RankError::Kind::kInput, cause);
   }
 }
 

@@ -55,7 +55,7 @@ int Run(const std::vector<std::string>& arguments, const terse::PetscSession& se
     if (terse::RankOf(MPI_COMM_WORLD) == 0) app.exit(error);  // --help, --version
     return 0;
   } catch (const terse::RankError& error) {
-    return Say(error.what(), error.kind() == terse::RankError::Kind::kNumerical ? 3 : 1);
+    return Say(error.what(), error.Cause() == terse::RankError::Kind::kNumerical ? 3 : 1);
   } catch (const std::bad_alloc&) {
     Abort("out of memory");
   } catch (const std::exception& error) {

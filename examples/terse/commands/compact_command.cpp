@@ -264,16 +264,15 @@ nlohmann::ordered_json JudgeLoops(PoseGraph<Pose>& graph, const CompactRun<Pose>
       "terse: note: " + options.path + ": " + std::to_string(run.links_refused) + " of " +
       std::to_string(run.links_offered) +
       " loops contradict the map: all are judged at the optimum of the whole, and the map is made again without "
-      "those that are wrong there");
+      "those that are wrong there, if that explains more of them");
   BatchOptions batch;
-  batch.robust = run.slam.Options().solver.robust;
   batch.log = options.log;
   batch.progress = [&](int iteration, double) {
     progress.Update(iteration);
     return true;
   };
   const double before = SecondsNow();
-  const std::vector<FactorId> left_out = ContradictedLoops(graph, batch);
+  const std::vector<FactorId> left_out = ContradictedLoops(graph, run, batch);
   nlohmann::ordered_json report = {{"loops", LoopFactors(graph).size()},
                                    {"refused_by_first_map", run.links_refused},
                                    {"left_out", left_out.size()},

@@ -93,10 +93,11 @@ class MethodRun {
     CompactRun<Pose> run = CompactGraph(scaled, options, watch);
     if (method_.kernel != RobustKernel::kGnc || !AreLoopsInDoubt(run)) return run;
     BatchOptions batch;
-    batch.robust = options.solver.robust;
     batch.progress = [this](int, double) { return !limit_.IsOver(); };
-    scaled = WithoutFactors(scaled, ContradictedLoops(scaled, batch));
+    const std::vector<FactorId> left_out = ContradictedLoops(scaled, run, batch);
     limit_.Check();
+    if (left_out.empty()) return run;
+    scaled = WithoutFactors(std::move(scaled), left_out);
     SampleThresholds(scaled, options);
     return CompactGraph(scaled, options, watch);
   }

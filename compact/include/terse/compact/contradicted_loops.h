@@ -17,12 +17,15 @@ namespace terse {
 template <class Pose>
 bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 
-// Loops that the optimum of the whole under gnc contradicts by far, ascending: beyond ten times the kernel's
-// width. What is nearer the map judges for itself; slips of the odometry are not among them. Takes as long as
-// that solution does, some ten times what the map takes with half of the loops wrong. `options`: with the kernel that
-// the map has (CompactOptions::solver.robust), which is kGnc. Throws std::invalid_argument as SolveBatch does.
+// Loops that the optimum of the whole under gnc contradicts by far, ascending: beyond ten times the kernel's width.
+// What is nearer the map judges for itself; slips of the odometry are not among them. None if the trajectory of the
+// first map contradicts no more loops so: gnc, too, can be deceived, as by one wrong offset again and again. Takes as
+// long as that solution does, some ten times what the map takes with half of the loops wrong. `first`: a run over this
+// graph, with kGnc (CompactOptions::solver.robust), which is the kernel here too; options.robust is not looked at.
+// Throws std::invalid_argument as SolveBatch does.
 template <class Pose>
-std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const BatchOptions& options);
+std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const CompactRun<Pose>& first,
+                                        BatchOptions options = {});
 
 // A copy without these factors, the others under their ids.
 template <class Pose>

@@ -14,7 +14,7 @@ class RankError : public std::runtime_error {
  public:
   enum class Kind { kInput, kNumerical };
   RankError(Kind kind, const std::string& message) : std::runtime_error(message), kind_(kind) {}
-  Kind kind() const { return kind_; }
+  Kind Cause() const { return kind_; }
 
  private:
   Kind kind_;
