@@ -1,6 +1,6 @@
 # What `find_package(terse CONFIG)` reads: terse::lie, terse::core, terse::covariance, terse::compact, terse::terse
-# for all of these, and terse::frontend where OpenCV is found. terse::distributed, if it was built, by COMPONENTS. For pkg-config: terse and terse-frontend. SuiteSparse is
-# linked inside core and does not show.
+# for all of these, terse::frontend where OpenCV is found, and terse::distributed by COMPONENTS if it was built. For
+# pkg-config: terse and terse-frontend. SuiteSparse is linked inside core and does not show.
 include(CMakePackageConfigHelpers)
 set(terse_cmakedir ${CMAKE_INSTALL_LIBDIR}/cmake/terse)
 

@@ -10,7 +10,6 @@
 #include "support/stopwatch.h"
 #include "terse/core/gauge.h"
 #include "terse/core/linear_factor.h"
-#include "terse/core/number_text.h"
 #include "terse/core/residual.h"
 
 namespace terse {

@@ -203,12 +203,7 @@ void AddDistributedSolve(CLI::App& app, const PetscSession& session) {
   AddRotationInformationOption(*command, options->read);
   command->add_option("--output", options->output, "Write the solved graph (g2o): FILE with other vertices")
       ->type_name("PATH");
-  command
-      ->add_option(
-          "--trajectory", options->trajectory,
-          "Write the trajectory: PATH.tum (pose ids for stamps) or PATH.kitti (a line per pose, by ascending id)")
-      ->check(FindTrajectoryPathDefect)
-      ->type_name("PATH");
+  AddTrajectoryOption(*command, options->trajectory);
   command
       ->add_option("--covariance-ids", options->ids_text,
                    "Marginal covariances (metres, radians) of these poses, by one solve per scalar")

@@ -4,6 +4,7 @@
 #include <iostream>
 
 #include "commands/commands.h"
+#include "run/run_statistics.h"
 #include "terse/compact/compact_graph.h"
 #include "terse/core/number_text.h"
 
@@ -38,6 +39,15 @@ void AddReadOptions(CLI::App& subcommand, ReadOptions& options) {
   AddRotationInformationOption(subcommand, options);
   subcommand.add_flag("--repair-information", options.repair_information,
                       "Clamp the eigenvalues of information matrices that are not positive definite");
+}
+
+void AddTrajectoryOption(CLI::App& subcommand, std::string& path) {
+  subcommand
+      .add_option(
+          "--trajectory", path,
+          "Write the trajectory: PATH.tum (pose ids for stamps) or PATH.kitti (a line per pose, by ascending id)")
+      ->check(FindTrajectoryPathDefect)
+      ->type_name("PATH");
 }
 
 CLI::Option* AddRobustOptions(CLI::App& subcommand, RobustOptions& options) {

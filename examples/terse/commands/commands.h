@@ -46,6 +46,9 @@ void AddReadOptions(CLI::App& subcommand, ReadOptions& options);
 // The first alone.
 void AddRotationInformationOption(CLI::App& subcommand, ReadOptions& options);
 
+// --trajectory, for those that optimise a graph as it is.
+void AddTrajectoryOption(CLI::App& subcommand, std::string& path);
+
 // --robust and --robust-width, for every subcommand that optimises.
 CLI::Option* AddRobustOptions(CLI::App& subcommand, RobustOptions& options);
 // The same for a compact map: its strategy has a kernel of its own (DefaultKernel), and gnc a width (MapRobust).

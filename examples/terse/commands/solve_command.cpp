@@ -413,12 +413,7 @@ void AddSolveCommand(CLI::App& app) {
   AddRobustOptions(*command, options->robust);
   AddReadOptions(*command, options->read);
   command->add_option("--output", options->output, "Write the solved graph (g2o)")->type_name("PATH");
-  command
-      ->add_option(
-          "--trajectory", options->trajectory,
-          "Write the trajectory: PATH.tum (pose ids for stamps) or PATH.kitti (a line per pose, by ascending id)")
-      ->check(FindTrajectoryPathDefect)
-      ->type_name("PATH");
+  AddTrajectoryOption(*command, options->trajectory);
   AddChoice(*command, "--covariances", options->covariances,
             {{"none", Covariances::kNone},
              {"last", Covariances::kLast},

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
-#include <cstdlib>
+#include <limits>
 #include <sstream>
 #include <stdexcept>
 #include <unordered_map>
@@ -53,10 +53,16 @@ bool AreOfTwoPlaces(const std::vector<MapToMerge<Pose>>& maps, const std::vector
     places.push_back({order[0].at((is_from_run ? measured.from : measured.to).value),
                       order[1].at((is_from_run ? measured.to : measured.from).value)});
   }
-  for (const auto& a : places) {
-    for (const auto& b : places) {
-      if (a[0] - b[0] > kOnePlace && std::abs(a[1] - b[1]) > kOnePlace) return true;
+  // Against the least and the most of those far enough before, so that no pairs are gone through.
+  std::sort(places.begin(), places.end());
+  long least = std::numeric_limits<long>::max(), most = std::numeric_limits<long>::min();
+  auto before = places.begin();
+  for (const auto& [of_run, of_map] : places) {
+    for (; (*before)[0] < of_run - kOnePlace; ++before) {
+      least = std::min(least, (*before)[1]);
+      most = std::max(most, (*before)[1]);
     }
+    if (least <= most && (of_map - least > kOnePlace || most - of_map > kOnePlace)) return true;
   }
   return false;
 }
@@ -212,6 +218,17 @@ bool ReceivedMaps<Pose>::IsReady(const Link& link, int map) const {
   return IsOfRun(other) && slam_.HasSeen(InRun(other));
 }
 
+// Counted anew when the run has grown by a sixteenth, so that a long run pays little for a map that waits.
+template <class Pose>
+long ReceivedMaps<Pose>::CountAbsolute(Received& received) const {
+  const int poses = slam_.PosesSeen();
+  if (poses > received.counted_at + received.counted_at / 16) {
+    received.absolute = CountAbsoluteFactors(slam_.Solver().Graph()).Count();
+    received.counted_at = poses;
+  }
+  return received.absolute;
+}
+
 template <class Pose>
 typename ReceivedMaps<Pose>::Outcome ReceivedMaps<Pose>::Update() {
   Outcome outcome;
@@ -219,11 +236,14 @@ typename ReceivedMaps<Pose>::Outcome ReceivedMaps<Pose>::Update() {
   for (int map = 0; map < static_cast<int>(maps_.size()); ++map) {
     Received& received = maps_[static_cast<std::size_t>(map)];
     if (received.is_joined) continue;
+    const long needed = received.tried + std::max(1L, received.tried / 16);
+    const long absolute = received.map.priors.empty() ? 0 : CountAbsolute(received);
+    // All that wait are the most that can be ready: no line goes through them in vain.
+    const auto most = static_cast<long>(waiting_.size());
+    if ((most < agreeing_ && absolute == 0) || most + absolute < needed) continue;
     const long links = std::count_if(waiting_.begin(), waiting_.end(), [&](const Link& l) { return IsReady(l, map); });
-    long absolute = 0;  // of the run, where the map has some too
-    if (!received.map.priors.empty()) absolute = CountAbsoluteFactors(slam_.Solver().Graph()).Count();
     const long evidence = links + absolute;
-    if ((links < agreeing_ && absolute == 0) || evidence < received.tried + std::max(1L, received.tried / 16)) continue;
+    if ((links < agreeing_ && absolute == 0) || evidence < needed) continue;
     received.tried = evidence;
     if (!TryToJoin(map, outcome)) continue;
     PassOn(outcome);

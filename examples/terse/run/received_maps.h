@@ -63,6 +63,8 @@ class ReceivedMaps {
     bool is_joined = false;
     InformationScale scale;
     long tried = 0;                        // what spoke for it when it was last tried
+    long absolute = 0;                     // measurements of the run, where the map has some too
+    int counted_at = 0;                    // poses of the run then
     CompactMap<Pose> map;                  // while it waits
     std::unordered_set<std::int64_t> ids;  // likewise; its own
   };
@@ -86,6 +88,7 @@ class ReceivedMaps {
   PoseId InRun(const End& end) const;
   RelativePoseFactor<Pose> InRun(const Link& link) const;
   bool IsReady(const Link& link, int map) const;
+  long CountAbsolute(Received& received) const;
   void PassOn(Outcome& outcome);
   bool TryToJoin(int map, Outcome& outcome);
   nlohmann::ordered_json Join(int map, const Merged<Pose>& merged, const std::vector<std::size_t>& tested);

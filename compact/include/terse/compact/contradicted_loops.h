@@ -13,7 +13,8 @@
 namespace terse {
 
 // More than one link in fifty, and not only one or two, was refused. Maps of public graphs without wrong loops refuse
-// one in two hundred at most; a tenth of wrong ones makes it one in fifteen.
+// one in two hundred or less (but for kitti_02, two of 43, and sphere_bignoise, which is lost); a tenth of wrong ones
+// makes it one in fifteen.
 template <class Pose>
 bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 

@@ -1,9 +1,9 @@
 #pragma once
 // One rank's share of a pose graph: an unbroken range of the poses, and the measurements that touch them.
 //
-// The file is read line by line, twice, and never held whole. Every rank knows the ids and values of all poses (64
-// bytes each in space) and all absolute measurements, which together fix the gauge; relative ones only where they touch
-// the share: those with an end in each of two shares are known to both.
+// The file is read line by line, twice, and never held whole. Every rank knows the ids and values of all poses (some
+// 100 bytes each in space) and all absolute measurements, which together fix the gauge; relative ones only where they
+// touch the share: those with an end in each of two shares are known to both.
 
 #include <cstddef>
 #include <map>
