@@ -57,8 +57,8 @@ TEST(LineStream, GivesTheLinesOfTheWholeFile) {
 }
 
 TEST(LineStream, RefusesWhatIsNoText) {
-  EXPECT_THROW(LineStream(TestFile("absent").Path()), FileError);
-  EXPECT_THROW(LineStream(::testing::TempDir()), FileError);
+  EXPECT_THROW(LineStream{TestFile("absent").Path()}, FileError);
+  EXPECT_THROW(LineStream{::testing::TempDir()}, FileError);
   EXPECT_THROW(Streamed(std::string("a\nb\0c\n", 6)), FileError);
   EXPECT_THROW(Streamed(std::string(kMostLineBytes + 10, 'x')), FileError);
 }

@@ -18,29 +18,33 @@ namespace {
 using internal::PetscSystem;
 using internal::ScopedTimer;
 
+// A start rests when a step is predicted to lower its cost by less than this share of it.
+constexpr double kRest = 1e-2;
+
 // One solver run on one rank.
 template <class Pose>
 class DistributedRun {
  public:
   static constexpr int B = Pose::kDof;
 
-  DistributedRun(MPI_Comm ranks, const GraphShare<Pose>& share, std::vector<Pose> initial,
-                 const DistributedOptions& options)
-      : ranks_(ranks), share_(share), options_(options), system_(ranks, B, share.begin, share.end, PairsOf(share)) {
-    result_.T_world_body = std::move(initial);
+  DistributedRun(MPI_Comm ranks, const GraphShare<Pose>& share, const DistributedOptions& options)
+      : ranks_(ranks),
+        share_(share),
+        options_(options),
+        system_(ranks, B, share.begin, share.end, NeighboursOf(share)) {
     for (const auto& term : share.relative) W_.push_back(SquareRootInformation(term.factor));
   }
 
-  DistributedResult<Pose> Execute() && {
-    result_.chi2 = Cost(result_.T_world_body, cost_);
-    if (!std::isfinite(cost_)) {
-      throw RankError(RankError::Kind::kNumerical, "chi2 is not finite at the initial values");
-    }
-    while (result_.iterations < options_.max_iterations && !done_) {
-      ++result_.iterations;
-      TakeStep();
-      if (options_.progress) options_.progress(result_.iterations, result_.chi2);
-    }
+  DistributedResult<Pose> Execute(std::vector<std::vector<Pose>> starts) && {
+    for (auto& values : starts) Enter(std::move(values));
+    run_ = &runs_[Choose()];
+    while (!run_->done && run_->trial.iterations < options_.max_iterations) TakeStep();
+    result_.start = static_cast<int>(run_ - runs_.data());
+    for (const Run& run : runs_) result_.trials.push_back(run.trial);
+    result_.termination = run_->termination;
+    result_.iterations = run_->trial.iterations;
+    result_.chi2 = run_->chi2;
+    result_.T_world_body = std::move(run_->values);
     if (!options_.covariances_of.empty()) SolveForCovariances();
     return std::move(result_);
   }
@@ -48,13 +52,51 @@ class DistributedRun {
  private:
   using Block = Eigen::Matrix<double, B, B, Eigen::RowMajor>;  // as PETSc reads them
 
-  static std::vector<std::pair<int, int>> PairsOf(const GraphShare<Pose>& share) {
-    std::vector<std::pair<int, int>> pairs;
-    for (const auto& term : share.relative) {
-      if (share.Owns(term.first)) pairs.emplace_back(term.first, term.second);
-      if (share.Owns(term.second)) pairs.emplace_back(term.second, term.first);
+  // From one start.
+  struct Run {
+    StartTrial trial;
+    std::vector<Pose> values;
+    double chi2 = 0;  // the cost is trial.cost
+    bool rests = false, done = false;
+    Termination termination = Termination::kMaxIterations;
+  };
+
+  void Enter(std::vector<Pose> values) {
+    Run run;
+    double cost = 0;
+    run.chi2 = Cost(values, cost);
+    run.values = std::move(values);
+    run.trial.cost_at_start = run.trial.cost = cost;
+    if (!std::isfinite(cost)) run.trial.unavailable = "chi2 is not finite at the initial values";
+    runs_.push_back(std::move(run));
+  }
+
+  // The index of the start that goes on; as ChooseStart (start_values.h), in one round.
+  std::size_t Choose() {
+    constexpr int kRound = 3;
+    constexpr double kNear = 10;
+    std::vector<std::size_t> order;
+    for (std::size_t k = 0; k < runs_.size(); ++k) {
+      if (runs_[k].trial.unavailable.empty()) order.push_back(k);
     }
-    return pairs;
+    if (order.empty()) throw RankError(RankError::Kind::kNumerical, "chi2 is not finite at the initial values");
+    const auto is_lower = [&](std::size_t a, std::size_t b) { return runs_[a].trial.cost < runs_[b].trial.cost; };
+    std::stable_sort(order.begin(), order.end(), is_lower);
+    for (std::size_t k = 0; k < order.size() && order.size() > 1; ++k) {
+      const StartTrial& first = runs_[order[0]].trial;
+      // Where the first came to rest near where it set off, those above would have to fall further than it did.
+      const bool is_first_settled = k > 0 && runs_[order[0]].rests && first.cost_at_start <= kNear * first.cost;
+      if (is_first_settled && runs_[order[k]].trial.cost_at_start > kNear * first.cost) break;
+      run_ = &runs_[order[k]];
+      for (int step = 0; step < kRound && !run_->done && run_->trial.iterations < options_.max_iterations; ++step) {
+        TakeStep();
+      }
+    }
+    const std::size_t chosen = *std::min_element(order.begin(), order.end(), is_lower);
+    for (std::size_t k = 0; k < runs_.size(); ++k) {
+      if (k != chosen) runs_[k].values = {};
+    }
+    return chosen;
   }
 
   const Pose& ValueOf(const std::vector<Pose>& values, int pose) const {
@@ -95,9 +137,8 @@ class DistributedRun {
     if (f.second >= 0) row(f.second, f.A_second, f.first, f.A_first);
   }
 
-  void Assemble() {
+  void Assemble(const std::vector<Pose>& values) {
     ScopedTimer timer(result_.seconds.linearise);
-    const std::vector<Pose>& values = result_.T_world_body;
     system_.SetZero();
     for (std::size_t k = 0; k < share_.relative.size(); ++k) {
       const auto& term = share_.relative[k];
@@ -115,14 +156,14 @@ class DistributedRun {
     }
     if (share_.Owns(0)) Add(Anchor(absolute.FindGauge(values.front())));
     system_.FinishAssembly();
-    if (system_.IsIterative()) system_.SetNearNullSpace(RigidMotions());
+    if (system_.IsIterative()) system_.SetNearNullSpace(RigidMotions(values));
   }
 
   // Of the map as a whole, in the tangent directions of own poses: Exp(xi) T = T Exp(Ad(T^-1) xi).
-  std::vector<std::vector<double>> RigidMotions() const {
+  std::vector<std::vector<double>> RigidMotions(const std::vector<Pose>& values) const {
     std::vector<std::vector<double>> motions(B);
     for (int pose = share_.begin; pose < share_.end; ++pose) {
-      const Matrix<B, B> A = ValueOf(result_.T_world_body, pose).Inverse().Adjoint();
+      const Matrix<B, B> A = ValueOf(values, pose).Inverse().Adjoint();
       for (int k = 0; k < B; ++k) {
         for (int i = 0; i < B; ++i) motions[static_cast<std::size_t>(k)].push_back(A(i, k));
       }
@@ -130,59 +171,59 @@ class DistributedRun {
     return motions;
   }
 
-  void Factorise() {
-    Assemble();
+  void Factorise(const std::vector<Pose>& values) {
+    Assemble(values);
     ScopedTimer timer(result_.seconds.factor);
     system_.Factor();
   }
 
   void TakeStep() {
-    Factorise();
+    Run& run = *run_;
+    ++run.trial.iterations;
+    Factorise(run.values);
     std::vector<double> d;
     {
       ScopedTimer timer(result_.seconds.solve);
       d = system_.Solve();
     }
-    const double predicted = system_.Decrement();
+    const double before = run.trial.cost, predicted = system_.Decrement();
     // chi2 has no unit: below the constant it is rounding.
-    const double tolerance = options_.relative_tolerance * cost_ + 1e-16;
+    const double tolerance = options_.relative_tolerance * before + 1e-16;
     const bool is_small = predicted <= tolerance;
+    run.rests = predicted <= kRest * before;
+    run.termination = Termination::kStalled;
+    run.done = true;
     // Along the step until chi2 has fallen by a part of what its slope promises (Armijo).
     constexpr double kPart = 1e-4;
     constexpr int kMostHalvings = 30;
     double scale = 1;
     for (int halving = 0; halving <= kMostHalvings; ++halving, scale /= 2) {
-      std::vector<Pose> trial = Moved(d, scale);
+      std::vector<Pose> trial = Moved(run.values, d, scale);
       double cost = 0;
       const double chi2 = Cost(trial, cost);
-      const double decrease = cost_ - cost;
+      const double decrease = before - cost;
       // Near the optimum chi2 is rounding, and the step is better than it.
       const bool is_last = is_small && scale == 1 && decrease >= -tolerance;
       if (!std::isfinite(cost) || !(decrease >= kPart * scale * predicted || is_last)) continue;
-      result_.T_world_body = std::move(trial);
-      result_.chi2 = chi2;
-      cost_ = cost;
-      if (is_small || (scale == 1 && decrease <= tolerance)) Finish(Termination::kConverged);
-      return;
+      run.values = std::move(trial);
+      run.chi2 = chi2;
+      run.trial.cost = cost;
+      run.done = is_small || (scale == 1 && decrease <= tolerance);
+      run.termination = run.done ? Termination::kConverged : Termination::kMaxIterations;
+      break;
     }
-    Finish(Termination::kStalled);
+    if (options_.progress) options_.progress(++steps_, run.chi2);
   }
 
-  std::vector<Pose> Moved(const std::vector<double>& d, double scale) const {
-    std::vector<Pose> out = result_.T_world_body;
-    for (std::size_t v = 0; v < out.size(); ++v) {
-      out[v] = out[v].Retract(scale * Eigen::Map<const Vector<B>>(d.data() + v * B));
+  static std::vector<Pose> Moved(std::vector<Pose> values, const std::vector<double>& d, double scale) {
+    for (std::size_t v = 0; v < values.size(); ++v) {
+      values[v] = values[v].Retract(scale * Eigen::Map<const Vector<B>>(d.data() + v * B));
     }
-    return out;
-  }
-
-  void Finish(Termination termination) {
-    result_.termination = termination;
-    done_ = true;
+    return values;
   }
 
   void SolveForCovariances() {
-    Factorise();
+    Factorise(result_.T_world_body);
     ScopedTimer timer(result_.seconds.solve);
     for (const int pose : options_.covariances_of) {
       Matrix<B, B> covariance;
@@ -199,9 +240,10 @@ class DistributedRun {
   const DistributedOptions& options_;
   PetscSystem system_;
   std::vector<Matrix<B, B>> W_;  // of the relative measurements
+  std::vector<Run> runs_;
+  Run* run_ = nullptr;  // whose steps are taken
+  int steps_ = 0;
   DistributedResult<Pose> result_;
-  double cost_ = 0;
-  bool done_ = false;
 };
 
 // A pose as numbers; all ranks, the first too, make theirs of these, so that they are the same to the last bit.
@@ -230,21 +272,24 @@ void BroadcastPoses(MPI_Comm ranks, std::vector<Pose>& T_world_body) {
 }
 
 template <class Pose>
-DistributedResult<Pose> SolveDistributed(MPI_Comm ranks, const GraphShare<Pose>& share, std::vector<Pose> initial,
-                                         const DistributedOptions& options) {
-  if (initial.size() != share.ids.size()) throw std::invalid_argument("one initial value per pose is needed");
+DistributedResult<Pose> SolveDistributed(MPI_Comm ranks, const GraphShare<Pose>& share,
+                                         std::vector<std::vector<Pose>> starts, const DistributedOptions& options) {
+  if (starts.empty()) throw std::invalid_argument("one start at least is needed");
+  for (const auto& values : starts) {
+    if (values.size() != share.ids.size()) throw std::invalid_argument("one initial value per pose is needed");
+  }
   for (const int pose : options.covariances_of) {
     if (pose < 0 || static_cast<std::size_t>(pose) >= share.ids.size()) {
       throw std::invalid_argument("there is no pose " + std::to_string(pose));
     }
   }
-  return DistributedRun<Pose>(ranks, share, std::move(initial), options).Execute();
+  return DistributedRun<Pose>(ranks, share, options).Execute(std::move(starts));
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                 \
-  template void BroadcastPoses<Pose>(MPI_Comm, std::vector<Pose>&);                                             \
-  template DistributedResult<Pose> SolveDistributed<Pose>(MPI_Comm, const GraphShare<Pose>&, std::vector<Pose>, \
-                                                          const DistributedOptions&);
+#define TERSE_INSTANTIATE(Pose)                                                              \
+  template void BroadcastPoses<Pose>(MPI_Comm, std::vector<Pose>&);                          \
+  template DistributedResult<Pose> SolveDistributed<Pose>(MPI_Comm, const GraphShare<Pose>&, \
+                                                          std::vector<std::vector<Pose>>, const DistributedOptions&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

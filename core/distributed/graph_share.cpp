@@ -174,6 +174,16 @@ GraphShare<Pose> ReadShare(const std::string& path, int rank, int ranks, const R
 }
 
 template <class Pose>
+std::vector<std::pair<int, int>> NeighboursOf(const GraphShare<Pose>& share) {
+  std::vector<std::pair<int, int>> pairs;
+  for (const auto& term : share.relative) {
+    if (share.Owns(term.first)) pairs.emplace_back(term.first, term.second);
+    if (share.Owns(term.second)) pairs.emplace_back(term.second, term.first);
+  }
+  return pairs;
+}
+
+template <class Pose>
 void CopyG2o(const std::string& path, const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body,
              const std::string& output) {
   AtomicFile file(output);
@@ -188,6 +198,7 @@ void CopyG2o(const std::string& path, const std::vector<PoseId>& ids, const std:
 
 #define TERSE_INSTANTIATE(Pose)                                                                         \
   template GraphShare<Pose> ReadShare<Pose>(const std::string&, int, int, const ReadOptions&);          \
+  template std::vector<std::pair<int, int>> NeighboursOf<Pose>(const GraphShare<Pose>&);                \
   template void CopyG2o<Pose>(const std::string&, const std::vector<PoseId>&, const std::vector<Pose>&, \
                               const std::string&);
 TERSE_INSTANTIATE(SE2)

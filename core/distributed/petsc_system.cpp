@@ -148,6 +148,13 @@ void PetscSystem::AddRight(int row, const double* values) {
   Check(VecRestoreArray(right_, &own));
 }
 
+void PetscSystem::SetRight(const std::vector<double>& values) {
+  double* own = nullptr;
+  Check(VecGetArray(right_, &own));
+  std::copy(values.begin(), values.end(), own);
+  Check(VecRestoreArray(right_, &own));
+}
+
 void PetscSystem::FinishAssembly() {
   Check(MatAssemblyBegin(matrix_, MAT_FINAL_ASSEMBLY));
   Check(MatAssemblyEnd(matrix_, MAT_FINAL_ASSEMBLY));

@@ -37,6 +37,8 @@ class PetscSystem {
   // Adds to an own block row; `values` is row by row.
   void AddBlock(int row, int column, const double* values);
   void AddRight(int row, const double* values);
+  // The right side of all own rows, in place of what is there.
+  void SetRight(const std::vector<double>& values);
   void FinishAssembly();  // collective
   // Whether a preconditioner takes the place of the factor.
   bool IsIterative() const { return is_iterative_; }

@@ -19,6 +19,7 @@
 #include "terse/core/stamped_trajectory.h"
 #include "terse/core/writable.h"
 #include "terse/covariance/covariance_table.h"
+#include "terse/distributed/chordal_start.h"
 
 namespace terse {
 namespace {
@@ -43,14 +44,15 @@ class DistributedSolve {
     seconds_["read"] = SecondsNow() - start;
     if (is_first_ && !options_.quiet) WarnOfSkipped();
     const double before = SecondsNow();
-    std::vector<Pose> initial = Initial();
+    MakeStarts();
     seconds_["start"] = SecondsNow() - before;
 
     Progress progress("iterations", 0, options_.quiet || !is_first_);
     DistributedOptions solve;
     solve.progress = [&](int iteration, double) { progress.Update(iteration); };
     OnEveryRank(ranks_, [&] { solve.covariances_of = IndicesOf(options_.covariance_ids); });
-    const DistributedResult<Pose> result = SolveDistributed(ranks_, share_, std::move(initial), solve);
+    const DistributedResult<Pose> result = SolveDistributed(ranks_, share_, std::move(starts_), solve);
+    DescribeStarts(result);
     progress.Clear();
     if (is_first_ && !options_.quiet) Warn(result);
     OnEveryRank(ranks_, [&] {
@@ -83,28 +85,67 @@ class DistributedSolve {
     std::cerr << std::string("terse-mpi: warning: not converged: ") + Name(result.termination) + "\n";
   }
 
-  // The file's values every rank has; others are made by the first, which holds the whole graph for that.
-  std::vector<Pose> Initial() {
-    std::vector<Pose> values(share_.ids.size());
-    if (options_.initial == InitialValues::kFile) {
-      start_["initial"] = {{"method", Name(options_.initial)}, {"chosen_by", "option"}};
-      OnEveryRank(ranks_, [&] {
-        for (std::size_t k = 0; k < values.size(); ++k) {
-          if (!share_.T_world_body[k]) {
-            throw FileError(options_.path, 0, "pose " + std::to_string(share_.ids[k].value) + " has no value");
-          }
-          values[k] = *share_.T_world_body[k];
-        }
-      });
-      return values;
+  // The file's values every rank has, chordal ones all make together, and those two are compared unless one is asked
+  // for. Others are made by the first, which holds the whole graph for that.
+  void MakeStarts() {
+    const bool is_automatic = options_.initial == InitialValues::kAuto;
+    const bool has_file_values = std::all_of(share_.T_world_body.begin(), share_.T_world_body.end(),
+                                             [](const auto& value) { return value.has_value(); });
+    if (options_.initial == InitialValues::kFile || (is_automatic && has_file_values)) {
+      AddStart(InitialValues::kFile, FileValues());
     }
+    if (options_.initial == InitialValues::kChordal || is_automatic) AddChordal();
+    if (starts_.empty()) AddStart(options_.initial, ValuesOfFirstRank());
+  }
+
+  void AddStart(InitialValues method, std::vector<Pose> values) {
+    methods_.push_back(method);
+    starts_.push_back(std::move(values));
+  }
+
+  void AddChordal() {
+    try {
+      AddStart(InitialValues::kChordal, DistributedChordalValues(ranks_, share_));
+    } catch (const RankError& error) {
+      if (starts_.empty() || error.Cause() != RankError::Kind::kNumerical) throw;
+      unavailable_.method = InitialValues::kChordal;
+      unavailable_.unavailable = error.what();
+    }
+  }
+
+  std::vector<Pose> FileValues() const {
+    std::vector<Pose> values;
+    OnEveryRank(ranks_, [&] {
+      for (std::size_t k = 0; k < share_.ids.size(); ++k) {
+        if (!share_.T_world_body[k]) {
+          throw FileError(options_.path, 0, "pose " + std::to_string(share_.ids[k].value) + " has no value");
+        }
+        values.push_back(*share_.T_world_body[k]);
+      }
+    });
+    return values;
+  }
+
+  std::vector<Pose> ValuesOfFirstRank() const {
+    std::vector<Pose> values(share_.ids.size());
     OnEveryRank(ranks_, [&] {
       if (!is_first_) return;
       const auto graph = ReadPoseGraph<Pose>(options_.path, options_.read);
-      AddPathToErrors(options_.path, [&] { values = StartValues(graph, options_.initial, BatchOptions(), start_); });
+      AddPathToErrors(options_.path, [&] { values = ComputeInitialValues(graph, options_.initial); });
     });
     BroadcastPoses(ranks_, values);
     return values;
+  }
+
+  void DescribeStarts(const DistributedResult<Pose>& result) {
+    const bool is_automatic = options_.initial == InitialValues::kAuto;
+    std::vector<StartTrial> trials;
+    for (std::size_t k = 0; k < methods_.size() && is_automatic; ++k) {
+      trials.push_back(result.trials[k]);
+      trials.back().method = methods_[k];
+    }
+    if (!unavailable_.unavailable.empty()) trials.push_back(unavailable_);
+    DescribeStart(methods_[static_cast<std::size_t>(result.start)], is_automatic, trials, start_);
   }
 
   std::vector<int> IndicesOf(const std::vector<PoseId>& ids) const {
@@ -169,6 +210,9 @@ class DistributedSolve {
   const int rank_;
   const bool is_first_;
   GraphShare<Pose> share_;
+  std::vector<InitialValues> methods_;  // of the starts
+  std::vector<std::vector<Pose>> starts_;
+  StartTrial unavailable_;  // a start that could not be made
   nlohmann::ordered_json start_ = nlohmann::ordered_json::object(), seconds_;
 };
 
@@ -197,9 +241,10 @@ void AddDistributedSolve(CLI::App& app, const PetscSession& session) {
   auto options = std::make_shared<DistributedSolveOptions>();
   CLI::App* command = app.add_subcommand("solve", "Optimise a pose graph over all ranks");
   command->add_option("FILE", options->path, "The graph file (g2o), under this path on every machine")->required();
-  AddChoice(*command, "--initial", options->initial, Choices<InitialValues>(),
-            "Initial values, as `terse solve` has them; all but the file's are made by rank 0, which holds the whole "
-            "graph for that");
+  AddChoice(
+      *command, "--initial", options->initial, Choices<InitialValues>(),
+      "Initial values: auto is the better of file and chordal, found by trying; compose and tree are made by rank 0, "
+      "which holds the whole graph for that");
   AddRotationInformationOption(*command, options->read);
   command->add_option("--output", options->output, "Write the solved graph (g2o): FILE with other vertices")
       ->type_name("PATH");

@@ -1,7 +1,5 @@
 #include "commands/start.h"
 
-#include "terse/core/start_values.h"
-
 namespace terse {
 namespace {
 
@@ -20,6 +18,12 @@ nlohmann::ordered_json ToJson(const StartTrial& trial) {
 
 }  // namespace
 
+void DescribeStart(InitialValues chosen, bool is_automatic, const std::vector<StartTrial>& trials,
+                   nlohmann::ordered_json& stats) {
+  stats["initial"] = {{"method", Name(chosen)}, {"chosen_by", is_automatic ? "auto" : "option"}};
+  for (const StartTrial& trial : trials) stats["initial"]["compared"].push_back(ToJson(trial));
+}
+
 template <class Pose>
 std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, const BatchOptions& options,
                               nlohmann::ordered_json& stats) {
@@ -30,8 +34,7 @@ std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method
                       method,
                       ComputeInitialValues(graph, method, {options.threads, options.log, options.factor_progress}),
                       {}};
-  stats["initial"] = {{"method", Name(start.chosen)}, {"chosen_by", automatic ? "auto" : "option"}};
-  for (const StartTrial& trial : start.trials) stats["initial"]["compared"].push_back(ToJson(trial));
+  DescribeStart(start.chosen, automatic, start.trials, stats);
   return std::move(start.T_world_body);
 }
 

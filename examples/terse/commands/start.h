@@ -6,6 +6,7 @@
 
 #include "terse/core/batch_solver.h"
 #include "terse/core/initial_values.h"
+#include "terse/core/start_values.h"
 
 namespace terse {
 
@@ -14,5 +15,9 @@ namespace terse {
 template <class Pose>
 std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, const BatchOptions& options,
                               nlohmann::ordered_json& stats);
+
+// Puts under "initial" in `stats` where an optimisation started.
+void DescribeStart(InitialValues chosen, bool is_automatic, const std::vector<StartTrial>& trials,
+                   nlohmann::ordered_json& stats);
 
 }  // namespace terse

@@ -4,7 +4,7 @@
 //
 //     PetscSession session({});
 //     const auto share = ReadShare<SE2>(path, RankOf(MPI_COMM_WORLD), RankCount(MPI_COMM_WORLD));
-//     const auto solved = SolveDistributed(MPI_COMM_WORLD, share, initial);
+//     const auto solved = SolveDistributed(MPI_COMM_WORLD, share, {DistributedChordalValues(MPI_COMM_WORLD, share)});
 //
 // Minimises what SolveBatch does (batch_solver.h): chi2, with the gauge of gauge.h. All functions are collective, and
 // all ranks get the same result.
@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "terse/core/batch_solver.h"
+#include "terse/core/start_values.h"
 #include "terse/distributed/graph_share.h"
 #include "terse/distributed/ranks.h"
 
@@ -44,6 +45,8 @@ struct DistributedResult {
   std::vector<Pose> T_world_body;  // of the whole graph, by pose index
   int iterations = 0;
   double chi2 = 0;                                   // without the priors of FIXed poses
+  int start = 0;                                     // the index of the start it came from
+  std::vector<StartTrial> trials;                    // by start; methods are not set
   PhaseSeconds seconds;                              // of this rank; the order is part of the first factor
   std::vector<typename Pose::Jacobian> covariances;  // of DistributedOptions::covariances_of, at T_world_body
   bool Converged() const { return termination == Termination::kConverged; }
@@ -53,9 +56,12 @@ struct DistributedResult {
 template <class Pose>
 void BroadcastPoses(MPI_Comm ranks, std::vector<Pose>& T_world_body);
 
-// Throws RankError on all ranks: kNumerical if the system is singular, the linear solver fails or chi2 is not finite.
+// From the best of the starts, each the values of all poses by pose index. Of several the one of lowest cost takes
+// three steps; unless it rests near where it set off and no other is as low, the others do too, and the lowest goes on.
+// Throws RankError on all ranks: kNumerical if the system is singular, the linear solver fails or chi2 is finite at no
+// start.
 template <class Pose>
-DistributedResult<Pose> SolveDistributed(MPI_Comm ranks, const GraphShare<Pose>& share, std::vector<Pose> initial,
-                                         const DistributedOptions& options = {});
+DistributedResult<Pose> SolveDistributed(MPI_Comm ranks, const GraphShare<Pose>& share,
+                                         std::vector<std::vector<Pose>> starts, const DistributedOptions& options = {});
 
 }  // namespace terse

@@ -9,6 +9,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "terse/core/graph_file.h"
@@ -43,6 +44,10 @@ int DimensionOfG2o(const std::string& path);
 // measurements within the share only, and for files of other formats.
 template <class Pose>
 GraphShare<Pose> ReadShare(const std::string& path, int rank, int ranks, const ReadOptions& options = {});
+
+// For every relative measurement and each of its ends in the share: that end and the other one.
+template <class Pose>
+std::vector<std::pair<int, int>> NeighboursOf(const GraphShare<Pose>& share);
 
 // A copy of the g2o file with these values of the poses, in the order of GraphShare::ids: vertex lines first, the
 // others as they are. Throws FileError.
