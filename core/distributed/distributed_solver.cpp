@@ -74,7 +74,7 @@ class DistributedRun {
   // The index of the start that goes on; as ChooseStart (start_values.h), in one round.
   std::size_t Choose() {
     constexpr int kRound = 3;
-    constexpr double kNear = 10;
+    constexpr double kNear = 10, kSame = 1e-3;
     std::vector<std::size_t> order;
     for (std::size_t k = 0; k < runs_.size(); ++k) {
       if (runs_[k].trial.unavailable.empty()) order.push_back(k);
@@ -92,7 +92,10 @@ class DistributedRun {
         TakeStep();
       }
     }
-    const std::size_t chosen = *std::min_element(order.begin(), order.end(), is_lower);
+    // Of those that are in the same place the one that set off lowest.
+    const double lowest = runs_[*std::min_element(order.begin(), order.end(), is_lower)].trial.cost;
+    const std::size_t chosen = *std::find_if(
+        order.begin(), order.end(), [&](std::size_t k) { return runs_[k].trial.cost <= (1 + kSame) * lowest; });
     for (std::size_t k = 0; k < runs_.size(); ++k) {
       if (k != chosen) runs_[k].values = {};
     }

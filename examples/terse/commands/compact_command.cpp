@@ -263,8 +263,8 @@ nlohmann::ordered_json JudgeLoops(PoseGraph<Pose>& graph, const CompactRun<Pose>
   progress.Say(
       "terse: note: " + options.path + ": " + std::to_string(run.links_refused) + " of " +
       std::to_string(run.links_offered) +
-      " loops contradict the map: all are judged at the optimum of the whole, and the map is made again without "
-      "those that are wrong there, if that explains more of them");
+      " loops contradict the map: all are judged together, and the map is made again without those that are wrong "
+      "then, unless that explains fewer of them");
   BatchOptions batch;
   batch.log = options.log;
   batch.progress = [&](int iteration, double) {

@@ -3,8 +3,8 @@
 //
 // A map that grows hears of a loop once, when it comes, and what it refuses is no evidence for anything later. Where
 // many loops are wrong, an early one that nothing contradicts yet bends the map, and true ones are refused for it. A
-// file has all its loops at once: where a first map refuses many, all are judged by gnc at the optimum of the whole
-// (batch_solver.h), and those that it contradicts never come to the map that is made then.
+// file has all its loops at once: where a first map refuses many, all are judged by gnc (batch_solver.h), and those
+// that it contradicts never come to the map that is made then.
 
 #include <vector>
 
@@ -12,18 +12,20 @@
 
 namespace terse {
 
-// More than one link in fifty, and not only one or two, was refused. Maps of public graphs without wrong loops refuse
-// one in two hundred or less (but for kitti_02, two of 43, and sphere_bignoise, which is lost); a tenth of wrong ones
-// makes it one in fifteen.
+// More than one link in a hundred, and not only one or two, was refused. Maps of public graphs without wrong loops
+// refuse one in 160 or less (but for kitti_02, two of 43, and sphere_bignoise, which is lost); a tenth of wrong ones
+// makes it one in fifteen, or, where most are never looked at, one in sixty with half of them wrong (parking-garage).
 template <class Pose>
 bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 
-// Loops that the optimum of the whole under gnc contradicts by far, ascending: beyond ten times the kernel's width.
-// What is nearer the map judges for itself; slips of the odometry are not among them. None if the trajectory of the
-// first map contradicts no more loops so: gnc, too, can be deceived, as by one wrong offset again and again. Takes as
-// long as that solution does, some ten times what the map takes with half of the loops wrong. `first`: a run over this
-// graph, with kGnc (CompactOptions::solver.robust), which is the kernel here too; options.robust is not looked at.
-// Throws std::invalid_argument as SolveBatch does.
+// Loops that the best explanation of all of them contradicts by far, ascending: with more than ten times the chi2 at
+// which the kernel leaves a loop out. What is nearer the map judges for itself; slips of the odometry are not among
+// them. Explanations are the optimum by gnc of odometry and of the loops that others near them bear out (two that agree
+// over the odometry between their ends), which leaves few wrong ones in and the factor sparse; the optimum next to the
+// first map; and, where true loops stand alone, that of the whole by gnc. The best one has the least chi2, of a loop no
+// more than one true one in a hundred exceeds. `first`: a run over this graph, with kGnc
+// (CompactOptions::solver.robust), which is the kernel here too; options.robust is not looked at. Throws
+// std::invalid_argument as SolveBatch does.
 template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const CompactRun<Pose>& first,
                                         BatchOptions options = {});

@@ -1,0 +1,18 @@
+#pragma once
+// Loops that others near them bear out.
+//
+// Two true loops from about one place to about one other place close a cycle over short stretches of odometry, and it
+// closes; a wrong loop seldom has a neighbour that is wrong in the same way (pairwise consistency: Mangelson et al.,
+// ICRA 2018). A true loop that is alone has none either: without support is not wrong.
+
+#include <vector>
+
+#include "terse/core/pose_graph.h"
+
+namespace terse::internal {
+
+// Loops (robust.h) that agree with no other one whose ends lie within ten poses of theirs, ascending. O(loops).
+template <class Pose>
+std::vector<FactorId> UnsupportedLoops(const PoseGraph<Pose>& graph);
+
+}  // namespace terse::internal
