@@ -110,8 +110,12 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
   BatchResult<Pose> solved = SolveBatch(WithoutFactors(graph, unsupported), options);
   const Judge<Pose> judge(graph, solved);
   Explanation<Pose> best = judge.Weigh(std::move(solved.T_world_body));
+  // Cheaper, and of as many loops: with little information on loops either alone is misleading.
   const auto keep_if_better = [&](Explanation<Pose> other) {
-    if (other.cost < best.cost) best = std::move(other);
+    const auto contradicted = [&](const Explanation<Pose>& by) {
+      return judge.ContradictedOf(judge.Loops(), by).size();
+    };
+    if (other.cost < best.cost && contradicted(other) <= contradicted(best)) best = std::move(other);
   };
 
   BatchOptions from_first = options;
