@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <utility>
 
 #include "terse/compact/supported_loops.h"
@@ -24,7 +25,8 @@ constexpr double kLeastScale = 1e-6;
 template <class Pose>
 struct Explanation {
   std::vector<Pose> T_world_body;
-  double cost = 0;
+  double cost = 0;                     // truncated least squares: a loop no more than k
+  std::vector<FactorId> contradicted;  // loops, by far
 };
 
 // What is asked of an explanation.
@@ -50,26 +52,18 @@ class Judge {
     k_ = std::max(scale, kLeastScale) * ChiSquareQuantile(RobustOptions().quantile, Pose::kDof);
   }
 
-  // Truncated least squares: of loops no more than the chi2 where the kernel leaves them out.
   Explanation<Pose> Weigh(std::vector<Pose> T_world_body) const {
-    Explanation<Pose> out{std::move(T_world_body)};
+    Explanation<Pose> out{std::move(T_world_body), 0, {}};
     for (const auto& node : graph_.Factors()) {
       const bool is_loop = std::binary_search(loops_.begin(), loops_.end(), node.id);
       const double chi2 = Chi2(node.factor, out.T_world_body);
       out.cost += is_loop ? std::min(chi2, k_) : chi2;
+      if (is_loop && chi2 > kByFar * left_out_) out.contradicted.push_back(node.id);
     }
+    std::sort(out.contradicted.begin(), out.contradicted.end());
     return out;
   }
-
-  // Of `among`, ascending, those that it contradicts by far.
-  std::vector<FactorId> ContradictedOf(const std::vector<FactorId>& among, const Explanation<Pose>& by) const {
-    std::vector<FactorId> out;
-    for (const FactorId id : among) {
-      if (Chi2(graph_.FindFactor(id)->factor, by.T_world_body) > kByFar * left_out_) out.push_back(id);
-    }
-    return out;
-  }
-  const std::vector<FactorId>& Loops() const { return loops_; }
+  std::size_t Loops() const { return loops_.size(); }
 
  private:
   double Chi2(const Factor<Pose>& factor, const std::vector<Pose>& values) const {
@@ -112,10 +106,7 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
   Explanation<Pose> best = judge.Weigh(std::move(solved.T_world_body));
   // Cheaper, and of as many loops: with little information on loops either alone is misleading.
   const auto keep_if_better = [&](Explanation<Pose> other) {
-    const auto contradicted = [&](const Explanation<Pose>& by) {
-      return judge.ContradictedOf(judge.Loops(), by).size();
-    };
-    if (other.cost < best.cost && contradicted(other) <= contradicted(best)) best = std::move(other);
+    if (other.cost < best.cost && other.contradicted.size() <= best.contradicted.size()) best = std::move(other);
   };
 
   BatchOptions from_first = options;
@@ -124,10 +115,13 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
   keep_if_better(judge.Weigh(SolveBatch(graph, ValuesOf(first.slam, graph), from_first).T_world_body));
 
   // Where true loops stand alone, most of what is explained had no support.
-  const auto explained = judge.Loops().size() - judge.ContradictedOf(judge.Loops(), best).size();
-  const auto explained_alone = unsupported.size() - judge.ContradictedOf(unsupported, best).size();
-  if (2 * explained_alone > explained) keep_if_better(judge.Weigh(SolveBatch(graph, options).T_world_body));
-  return judge.ContradictedOf(judge.Loops(), best);
+  std::vector<FactorId> explained_alone;
+  std::set_difference(unsupported.begin(), unsupported.end(), best.contradicted.begin(), best.contradicted.end(),
+                      std::back_inserter(explained_alone));
+  if (2 * explained_alone.size() >= judge.Loops() - best.contradicted.size()) {
+    keep_if_better(judge.Weigh(SolveBatch(graph, options).T_world_body));
+  }
+  return best.contradicted;
 }
 
 template <class Pose>

@@ -31,12 +31,12 @@ class Support {
     for (const FactorId id : LoopFactors(graph)) AddLoop(id);
   }
 
+  // As LoopFactors has them, ascending.
   std::vector<FactorId> Unsupported() {
     std::vector<FactorId> out;
     for (size_t k = 0; k < loops_.size(); ++k) {
       if (!loops_[k].is_supported && !FindSupport(static_cast<int>(k))) out.push_back(loops_[k].id);
     }
-    std::sort(out.begin(), out.end());
     return out;
   }
 
@@ -78,39 +78,46 @@ class Support {
     return (static_cast<std::int64_t>(first / kReach) << 32) + second / kReach;
   }
 
+  // Its own cell first.
   bool FindSupport(int k) {
-    Loop& loop = loops_[At(k)];
-    int compared = 0;
-    for (int i = -1; i <= 1; ++i) {
-      for (int j = -1; j <= 1; ++j) {
-        const int first = loop.first + i * kReach, second = loop.second + j * kReach;
+    int left = kMostCompared;
+    for (const int i : {0, -1, 1}) {
+      for (const int j : {0, -1, 1}) {
+        const int first = loops_[At(k)].first + i * kReach, second = loops_[At(k)].second + j * kReach;
         if (first < 0 || second < 0) continue;
         const auto cell = cells_.find(CellOf(first, second));
-        if (cell == cells_.end()) continue;
-        for (const int other : cell->second) {
-          if (other == k) continue;
-          if (Agree(loop, loops_[At(other)])) {
-            loop.is_supported = loops_[At(other)].is_supported = true;
-            return true;
-          }
-          if (++compared == kMostCompared) return false;
-        }
+        if (cell != cells_.end() && FindSupportIn(cell->second, loops_[At(k)], left)) return true;
       }
     }
     return false;
   }
 
+  bool FindSupportIn(const std::vector<int>& cell, Loop& loop, int& left) {
+    for (const int k : cell) {
+      Loop& other = loops_[At(k)];
+      if (!AreComparable(loop, other)) continue;
+      if (left-- == 0) return false;
+      if (!Agree(loop, other)) continue;
+      loop.is_supported = other.is_supported = true;
+      return true;
+    }
+    return false;
+  }
+
   // Measured twice between the same poses is no evidence of two.
+  static bool AreComparable(const Loop& a, const Loop& b) {
+    const int heads = std::abs(a.first - b.first), tails = std::abs(a.second - b.second);
+    return heads <= kReach && tails <= kReach && heads + tails > 0;
+  }
+
   bool Agree(const Loop& a, const Loop& b) const {
-    if (a.first == b.first && a.second == b.second) return false;
     const auto head = Between(b.first, a.first), tail = Between(a.second, b.second);
     if (!head || !tail) return false;
     return InnovationDistance(Compose(Compose(*head, a.measured), *tail), b.measured) <= limit_;
   }
 
-  // Along the odometry; nothing if it breaks off or is long.
+  // Along the odometry; nothing if it breaks off.
   std::optional<UncertainPose<Pose>> Between(int from, int to) const {
-    if (std::abs(from - to) > kReach) return std::nullopt;
     UncertainPose<Pose> path;
     for (int rank = std::min(from, to) + 1; rank <= std::max(from, to); ++rank) {
       const auto& step = odometry_[At(rank)];

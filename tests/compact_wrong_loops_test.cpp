@@ -105,7 +105,7 @@ TEST(CompactWrongLoops, IntelWithEveryOtherOneWrong) {
 
 // A group of wrong loops that bends the map by 9 m and that its cautious information hardly contradicts, and a lost map
 // that leaves no more loops unexplained than the true one (331 m).
-TEST(CompactWrongLoops, NotHowManyLoopsAreExplainedDecides) {
+TEST(CompactWrongLoops, NotTheNumberOfExplainedLoopsAloneDecides) {
   TERSE_NEEDS(city, "graphs/2d/input_M3500_g2o.g2o");
   TERSE_NEEDS(hospital, "graphs/mac/ais2klinik.g2o");
   Drive drive;

@@ -60,6 +60,14 @@ TEST_F(Line, AWrongOneBesideTwoTrueOnes) {
   EXPECT_EQ(UnsupportedLoops(graph_), (std::vector<FactorId>{wrong}));
 }
 
+// Neither what is measured again nor what is too far to compare takes the place of what bears a loop out.
+TEST_F(Line, SupportIsFoundAmongMany) {
+  for (int k = 0; k < 40; ++k) LinkTrue(19, 80);
+  LinkTrue(18, 81);
+  for (int k = 0; k < 40; ++k) LinkTrue(0, 99 - k % 2);
+  EXPECT_TRUE(UnsupportedLoops(graph_).empty());
+}
+
 // Pose 105 came in by a link to pose 50: between it and pose 99 there is no odometry.
 TEST_F(Line, NoOdometryNoSupport) {
   LinkTrue(4, 95);

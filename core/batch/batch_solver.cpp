@@ -56,6 +56,10 @@ class Run {
   }
 
   BatchResult<Pose> Execute() && {
+    // Loops that good initial values contradict would make the first factor dense for nothing.
+    if (options_.robust.kernel == RobustKernel::kGnc && !options_.graduate) {
+      problem_.HoldWeights(result_.T_world_body, std::numeric_limits<double>::infinity());
+    }
     cost_ = problem_.Cost(result_.T_world_body, result_.chi2);
     Log(options_.log, LogLevel::kInfo, "batch: ", graph_.Poses().size(), " poses, ", graph_.Factors().size(),
         " factors, chi2 ", result_.chi2);

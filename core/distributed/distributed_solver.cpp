@@ -71,10 +71,21 @@ class DistributedRun {
     runs_.push_back(std::move(run));
   }
 
+  // A start whose system cannot be solved is none; all ranks find that together.
+  void TakeRound(Run& run, int steps) {
+    run_ = &run;
+    try {
+      for (int k = 0; k < steps && !run.done && run.trial.iterations < options_.max_iterations; ++k) TakeStep();
+    } catch (const RankError& error) {
+      if (error.Cause() != RankError::Kind::kNumerical) throw;
+      run.trial.unavailable = error.what();
+    }
+  }
+
   // The index of the start that goes on; as ChooseStart (start_values.h), in one round.
   std::size_t Choose() {
     constexpr int kRound = 3;
-    constexpr double kNear = 10, kSame = 1e-3;
+    constexpr double kNear = 10, kSame = 1e-9;
     std::vector<std::size_t> order;
     for (std::size_t k = 0; k < runs_.size(); ++k) {
       if (runs_[k].trial.unavailable.empty()) order.push_back(k);
@@ -87,12 +98,13 @@ class DistributedRun {
       // Where the first came to rest near where it set off, those above would have to fall further than it did.
       const bool is_first_settled = k > 0 && runs_[order[0]].rests && first.cost_at_start <= kNear * first.cost;
       if (is_first_settled && runs_[order[k]].trial.cost_at_start > kNear * first.cost) break;
-      run_ = &runs_[order[k]];
-      for (int step = 0; step < kRound && !run_->done && run_->trial.iterations < options_.max_iterations; ++step) {
-        TakeStep();
-      }
+      TakeRound(runs_[order[k]], kRound);
     }
-    // Of those that are in the same place the one that set off lowest.
+    order.erase(
+        std::remove_if(order.begin(), order.end(), [&](std::size_t k) { return !runs_[k].trial.unavailable.empty(); }),
+        order.end());
+    if (order.empty()) throw RankError(RankError::Kind::kNumerical, runs_.front().trial.unavailable);
+    // Of those that are the same to rounding the one that set off lowest.
     const double lowest = runs_[*std::min_element(order.begin(), order.end(), is_lower)].trial.cost;
     const std::size_t chosen = *std::find_if(
         order.begin(), order.end(), [&](std::size_t k) { return runs_[k].trial.cost <= (1 + kSame) * lowest; });

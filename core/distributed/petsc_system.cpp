@@ -1,6 +1,7 @@
 #include "distributed/petsc_system.h"
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 #include <string>
 
@@ -235,6 +236,7 @@ void PetscSystem::SolveLinear() {
 std::vector<double> PetscSystem::Solve() {
   SolveLinear();
   Check(VecDot(right_, solution_, &decrement_));
+  if (!std::isfinite(decrement_)) FailNumerically("the system is singular to rounding");
   Check(VecScatterBegin(to_all_, solution_, everywhere_, INSERT_VALUES, SCATTER_FORWARD));
   Check(VecScatterEnd(to_all_, solution_, everywhere_, INSERT_VALUES, SCATTER_FORWARD));
   const double* values = nullptr;

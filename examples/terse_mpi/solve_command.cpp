@@ -4,7 +4,6 @@
 #include <iostream>
 #include <memory>
 #include <string>
-#include <unordered_map>
 #include <vector>
 
 #include "commands/commands.h"
@@ -43,14 +42,14 @@ class DistributedSolve {
     OnEveryRank(ranks_, [&] { share_ = ReadShare<Pose>(options_.path, rank_, RankCount(ranks_), options_.read); });
     seconds_["read"] = SecondsNow() - start;
     if (is_first_ && !options_.quiet) WarnOfSkipped();
+    DistributedOptions solve;
+    OnEveryRank(ranks_, [&] { solve.covariances_of = IndicesOf(options_.covariance_ids); });
     const double before = SecondsNow();
     MakeStarts();
     seconds_["start"] = SecondsNow() - before;
 
     Progress progress("iterations", 0, options_.quiet || !is_first_);
-    DistributedOptions solve;
     solve.progress = [&](int iteration, double) { progress.Update(iteration); };
-    OnEveryRank(ranks_, [&] { solve.covariances_of = IndicesOf(options_.covariance_ids); });
     const DistributedResult<Pose> result = SolveDistributed(ranks_, share_, std::move(starts_), solve);
     DescribeStarts(result);
     progress.Clear();

@@ -264,7 +264,7 @@ nlohmann::ordered_json JudgeLoops(PoseGraph<Pose>& graph, const CompactRun<Pose>
       "terse: note: " + options.path + ": " + std::to_string(run.links_refused) + " of " +
       std::to_string(run.links_offered) +
       " loops contradict the map: all are judged together, and the map is made again without those that are wrong "
-      "then, unless that explains fewer of them");
+      "then");
   BatchOptions batch;
   batch.log = options.log;
   batch.progress = [&](int iteration, double) {

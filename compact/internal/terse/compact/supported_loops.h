@@ -11,7 +11,8 @@
 
 namespace terse::internal {
 
-// Loops (robust.h) that agree with no other one whose ends lie within ten poses of theirs, ascending. O(loops).
+// Loops (robust.h) that agree with none of the others, up to 32 of them, whose ends lie within ten poses of theirs,
+// ascending. O((V + E) log V), and all that lie near where many do.
 template <class Pose>
 std::vector<FactorId> UnsupportedLoops(const PoseGraph<Pose>& graph);
 

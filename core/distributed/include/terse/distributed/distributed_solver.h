@@ -32,10 +32,10 @@ class PetscSession {
 };
 
 struct DistributedOptions {
-  int max_iterations = 200;
+  int max_iterations = 200;  // from one start
   // Converged when a step lowers chi2, or is predicted to, by less than this share of it.
   double relative_tolerance = 1e-11;
-  std::function<void(int iteration, double chi2)> progress;  // on every rank, after every iteration
+  std::function<void(int iteration, double chi2)> progress;  // on every rank, after every step of any start
   std::vector<int> covariances_of;                           // indices of poses, whose marginals are solved for
 };
 
