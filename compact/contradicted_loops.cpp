@@ -101,18 +101,21 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
   options.robust = first.slam.Options().solver.robust;
   options.robust.quantile = RobustOptions().quantile;
   const std::vector<FactorId> unsupported = internal::UnsupportedLoops(graph);
-  BatchResult<Pose> solved = SolveBatch(WithoutFactors(graph, unsupported), options);
+  const BatchResult<Pose> solved = SolveBatch(WithoutFactors(graph, unsupported), options);
   const Judge<Pose> judge(graph, solved);
-  Explanation<Pose> best = judge.Weigh(std::move(solved.T_world_body));
+  BatchOptions next_to = options;
+  next_to.robust.width = solved.robust_width;
+  next_to.graduate = false;
+  const auto explain_next_to = [&](const std::vector<Pose>& T_world_body) {
+    return judge.Weigh(SolveBatch(graph, T_world_body, next_to).T_world_body);
+  };
+  Explanation<Pose> best = explain_next_to(solved.T_world_body);
   // Cheaper, and of as many loops: with little information on loops either alone is misleading.
   const auto keep_if_better = [&](Explanation<Pose> other) {
     if (other.cost < best.cost && other.contradicted.size() <= best.contradicted.size()) best = std::move(other);
   };
 
-  BatchOptions from_first = options;
-  from_first.robust.width = solved.robust_width;
-  from_first.graduate = false;
-  keep_if_better(judge.Weigh(SolveBatch(graph, ValuesOf(first.slam, graph), from_first).T_world_body));
+  keep_if_better(explain_next_to(ValuesOf(first.slam, graph)));
 
   // Where true loops stand alone, most of what is explained had no support.
   std::vector<FactorId> explained_alone;
