@@ -20,12 +20,12 @@ bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 
 // Loops that the best explanation of all of them contradicts by far, ascending: with more than ten times the chi2 at
 // which the kernel leaves a loop out. What is nearer the map judges for itself; slips of the odometry are not among
-// them. Explanations are, in this order: the optimum by gnc of odometry and of the loops that others near them bear out
-// (two that agree over the odometry between their ends), which leaves few wrong ones in and the factor sparse; the
-// optimum next to the first map; and, where true loops stand alone, that of the whole by gnc. A later one has to
-// contradict no more loops than the best before it, and to have less chi2, of a loop no more than one true one in a
-// hundred exceeds. `first`: a run over this graph, with kGnc (CompactOptions::solver.robust), which is the kernel here
-// too; options.robust is not looked at. Throws std::invalid_argument as SolveBatch does.
+// them. Explanations are, in this order: the optimum of all loops next to that by gnc of odometry and of the loops that
+// others near them bear out (two that agree over the odometry between their ends), which leaves few wrong ones in and
+// the factor sparse; the optimum next to the first map; and, where true loops stand alone, that of the whole by gnc. A
+// later one has to contradict no more loops than the best before it, and to have less chi2, of a loop no more than one
+// true one in a hundred exceeds. `first`: a run over this graph, with kGnc (CompactOptions::solver.robust), which is
+// the kernel here too; options.robust is not looked at. Throws std::invalid_argument as SolveBatch does.
 template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const CompactRun<Pose>& first,
                                         BatchOptions options = {});
