@@ -6,10 +6,9 @@
 
 #include <algorithm>
 
-#include "terse/core/generate.h"
 #include "terse/core/outliers.h"
 #include "terse/core/robust.h"
-#include "testing.h"
+#include "testing_scene.h"
 
 namespace terse {
 namespace {
@@ -80,19 +79,7 @@ TEST_F(Line, NoOdometryNoSupport) {
 
 template <class Pose>
 void ExpectRandomOnesFound(Scene scene, int poses, std::uint64_t seed) {
-  PoseGraph<Pose> graph;
-  std::vector<Pose> truth;
-  GenerateOptions options;
-  options.scene = scene;
-  options.poses = poses;
-  options.seed = seed;
-  GenerateSink<Pose> sink;
-  sink.pose = [&](PoseId id, const Pose& T) {
-    truth.push_back(T);
-    graph.AddPose(id);
-  };
-  sink.edge = [&](const RelativePoseFactor<Pose>& edge) { graph.AddFactor(edge); };
-  Generate(options, sink);
+  const auto [graph, truth] = testing::MakeScene<Pose>(scene, poses, seed);
   const auto loops = static_cast<double>(LoopFactors(graph).size());
   const auto with = AddWrongLoops(graph, truth, 100, seed, OutlierKind::kRandom);
   const std::vector<FactorId> unsupported = UnsupportedLoops(with.graph);

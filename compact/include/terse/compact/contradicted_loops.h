@@ -12,8 +12,8 @@
 
 namespace terse {
 
-// More than one link in a hundred, and not only one or two, was refused. Maps of public graphs without wrong loops
-// refuse one in 160 or less (but for kitti_02, two of 43, and sphere_bignoise, which is lost); a tenth of wrong ones
+// More than one link in a hundred, and not only one or two, was refused. Of maps of public graphs without wrong loops
+// that refuse more than two none refuses over one in 160 (but sphere_bignoise's, which is lost); a tenth of wrong ones
 // makes it one in fifteen, or, where most are never looked at, one in sixty with half of them wrong (parking-garage).
 template <class Pose>
 bool AreLoopsInDoubt(const CompactRun<Pose>& run);
