@@ -18,6 +18,8 @@ constexpr double kDoubtfulShare = 0.01;
 // Of chi2, times the square of the width. Wrong loops, local ones too, are farther off in 999 of 1000 cases, true ones
 // seldom: none to two in a hundred on most graphs, three on manhattan.
 constexpr double kByFar = 10;
+// An explanation of so many times as many loops is better at any cost.
+constexpr double kManyMore = 1.05;
 // Of the variance: nobody's measurements are better than this share of what they say.
 constexpr double kLeastScale = 1e-6;
 
@@ -110,9 +112,13 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
     return judge.Weigh(SolveBatch(graph, T_world_body, next_to).T_world_body);
   };
   Explanation<Pose> best = explain_next_to(solved.T_world_body);
-  // Cheaper, and of as many loops: with little information on loops either alone is misleading.
+  // Cheaper, and of as many loops, or of many more: with little information on loops either alone is misleading.
   const auto keep_if_better = [&](Explanation<Pose> other) {
-    if (other.cost < best.cost && other.contradicted.size() <= best.contradicted.size()) best = std::move(other);
+    const auto explained = [&](const Explanation<Pose>& by) {
+      return static_cast<double>(judge.Loops() - by.contradicted.size());
+    };
+    const bool is_as_good = other.cost < best.cost && explained(other) >= explained(best);
+    if (is_as_good || explained(other) > kManyMore * explained(best)) best = std::move(other);
   };
 
   keep_if_better(explain_next_to(ValuesOf(first.slam, graph)));
