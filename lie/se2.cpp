@@ -9,13 +9,6 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 
-Matrix<2, 2> RotationMatrix(double theta) {
-  const double c = std::cos(theta), s = std::sin(theta);
-  Matrix<2, 2> R;
-  R << c, -s, s, c;
-  return R;
-}
-
 // V with translation = V rho, and its derivative's quotients.
 Matrix<2, 2> V(double theta) {
   const double a = internal::Quotient(1, theta), b = theta * internal::Quotient(2, theta);
@@ -42,8 +35,6 @@ SE2::Tangent SE2::Log() const {
   const Position rho = V_inverse * translation_;
   return Tangent(rho.x(), rho.y(), theta_);
 }
-
-Matrix<2, 2> SE2::Rotation() const { return RotationMatrix(theta_); }
 
 SE2::Jacobian SE2::Adjoint() const {
   Jacobian A = Jacobian::Identity();
@@ -73,7 +64,7 @@ SE2::Jacobian SE2::LeftJacobianInverse(const Tangent& d) {
 
 SE2::Jacobian SE2::LocalJacobian(const Tangent& r) {
   Jacobian J = Jacobian::Identity();
-  J.topLeftCorner<2, 2>() = RotationMatrix(r[2]);
+  J.topLeftCorner<2, 2>() = SE2(0, 0, r[2]).Rotation();
   return J;
 }
 

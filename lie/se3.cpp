@@ -5,34 +5,37 @@
 namespace terse {
 namespace {
 
-// The upper right block of the left Jacobian (Barfoot, Eq. 7.86b).
+// The upper right block of the left Jacobian (Barfoot, Eq. 7.86b), with P = Hat(phi), R = Hat(rho), s = phi' rho and
+// P R P = -s P, P R + R P = rho phi' + phi rho' - 2 s I, P P R + R P P = -theta^2 R - s P put in.
 Matrix<3, 3> TranslationBlock(const Vector<3>& rho, const Vector<3>& phi) {
-  const double theta = phi.norm();
+  const double t2 = phi.squaredNorm(), theta = std::sqrt(t2), s = phi.dot(rho);
   const double c = internal::Quotient(3, theta);
   const double d = internal::Quotient(4, theta);
   const double e = internal::Quotient(5, theta);
-  const Matrix<3, 3> R = Hat(rho), P = Hat(phi);
-  const Matrix<3, 3> PR = P * R, RP = R * P, PRP = PR * P;
-  return R / 2 + c * (PR + RP + PRP) + d * (P * PR + RP * P - 3 * PRP) + (d - 3 * e) / 2 * (PRP * P + P * PRP);
+  const double square = s * (3 * e - d);
+  const Vector<3> odd = (0.5 - d * t2) * rho + (s * (2 * d - c)) * phi;
+  const Vector<3> half = c * rho + (square / 2) * phi;
+  Matrix<3, 3> Q = phi * half.transpose();
+  Q += Q.transpose().eval();
+  Q.diagonal().array() -= 2 * c * s + square * t2;
+  return Q + Hat(odd);
 }
 
 }  // namespace
 
 SE3 SE3::Exp(const Tangent& d) {
-  const Vector<3> phi = d.tail<3>();
-  return SE3(SO3::Exp(phi), SO3::LeftJacobian(phi) * d.head<3>());
+  const Vector<3> rho = d.head<3>(), phi = d.tail<3>();
+  const double theta = phi.norm();
+  const Vector<3> turned = phi.cross(rho);
+  return SE3(SO3::Exp(phi),
+             rho + internal::Quotient(2, theta) * turned + internal::Quotient(3, theta) * phi.cross(turned));
 }
 
 SE3::Tangent SE3::Log() const {
-  const Vector<3> phi = rotation_.Log();
+  const Vector<3> phi = rotation_.Log(), turned = phi.cross(translation_);
   Tangent d;
-  d << SO3::LeftJacobianInverse(phi) * translation_, phi;
+  d << translation_ - turned / 2 + internal::CotangentQuotient(phi.norm()) * phi.cross(turned), phi;
   return d;
-}
-
-SE3 SE3::Inverse() const {
-  const SO3 inverse = rotation_.Inverse();
-  return SE3(inverse, -(inverse * translation_));
 }
 
 SE3::Jacobian SE3::Adjoint() const {

@@ -6,12 +6,6 @@
 
 namespace terse {
 
-Matrix<3, 3> Hat(const Vector<3>& v) {
-  Matrix<3, 3> V;
-  V << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
-  return V;
-}
-
 SO3 SO3::Exp(const Tangent& phi) {
   const double half = phi.norm() / 2;
   const double scale = internal::Quotient(1, half) / 2;
@@ -29,29 +23,39 @@ SO3::Tangent SO3::Log() const {
   return (2 * std::atan2(n, w) / n) * v;
 }
 
-Vector<3> SO3::operator*(const Vector<3>& p) const {
-  const Vector<3> u = q_.vec();
-  const Vector<3> t = 2 * u.cross(p);
-  return p + q_.w() * t + u.cross(t);
+namespace {
+
+// a P + b P^2 with P = Hat(phi), on top of the identity: P^2 = phi phi' - phi' phi I.
+Matrix<3, 3> Polynomial(const Vector<3>& phi, double a, double b) {
+  const double x = phi.x(), y = phi.y(), z = phi.z();
+  const double xx = b * x * x, yy = b * y * y, zz = b * z * z, xy = b * x * y, xz = b * x * z, yz = b * y * z;
+  Matrix<3, 3> M;
+  M << 1 - yy - zz, xy - a * z, xz + a * y, xy + a * z, 1 - xx - zz, yz - a * x, xz - a * y, yz + a * x, 1 - xx - yy;
+  return M;
 }
+
+}  // namespace
 
 SO3::Jacobian SO3::LeftJacobian(const Tangent& phi) {
   const double theta = phi.norm();
-  const Matrix<3, 3> P = Hat(phi);
-  return Jacobian::Identity() + internal::Quotient(2, theta) * P + internal::Quotient(3, theta) * P * P;
+  return Polynomial(phi, internal::Quotient(2, theta), internal::Quotient(3, theta));
 }
 
 SO3::Jacobian SO3::LeftJacobianInverse(const Tangent& phi) {
-  const Matrix<3, 3> P = Hat(phi);
-  return Jacobian::Identity() - P / 2 + internal::CotangentQuotient(phi.norm()) * P * P;
+  return Polynomial(phi, -0.5, internal::CotangentQuotient(phi.norm()));
 }
 
 void SO3::Normalize() {
+  constexpr double kUnit = 4 * std::numeric_limits<double>::epsilon();
+  double n2 = q_.squaredNorm();
+  if (std::abs(n2 - 1) <= kUnit) return;
   // The squares of very large numbers overflow, those of very small ones vanish.
   const double largest = q_.coeffs().cwiseAbs().maxCoeff();
-  if (largest > 1e100 || (largest > 0 && largest < 1e-100)) q_.coeffs() /= largest;
-  const double n2 = q_.squaredNorm();
-  if (std::abs(n2 - 1) > 4 * std::numeric_limits<double>::epsilon()) q_.coeffs() /= std::sqrt(n2);
+  if (largest > 1e100 || (largest > 0 && largest < 1e-100)) {
+    q_.coeffs() /= largest;
+    n2 = q_.squaredNorm();
+  }
+  if (std::abs(n2 - 1) > kUnit) q_.coeffs() /= std::sqrt(n2);
 }
 
 }  // namespace terse

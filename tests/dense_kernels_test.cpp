@@ -278,5 +278,34 @@ TEST(DenseKernels, ProductsOfRowsAndCongruences) {
   }
 }
 
+TEST(DenseKernels, NormalBlocksAreProducts) {
+  std::mt19937_64 rng(11);
+  for (const auto& kernels : internal::AvailableKernels()) {
+    SCOPED_TRACE(kernels.name);
+    for (const int size : {3, 6}) {
+      const Eigen::MatrixXd A = RandomMatrix(rng, size, size), B = RandomMatrix(rng, size, size);
+      const Eigen::VectorXd r = RandomMatrix(rng, size, 1);
+      const Eigen::MatrixXd untouched = RandomMatrix(rng, size, size);
+      Eigen::MatrixXd H_first = untouched, H_second = untouched, H_cross = untouched;
+      Eigen::VectorXd b_first(size), b_second = r;
+      const auto compute = [&](const double* b) {
+        kernels.normal_blocks(A.data(), b, r.data(), size, H_first.data(), H_second.data(), H_cross.data(),
+                              b_first.data(), b_second.data());
+        EXPECT_LT((H_first - A.transpose() * A).norm(), 1e-14 * size * size);
+        EXPECT_EQ(H_first, H_first.transpose());
+        EXPECT_LT((b_first + A.transpose() * r).norm(), 1e-14 * size * size);
+      };
+      compute(nullptr);
+      EXPECT_EQ(H_second, untouched);
+      EXPECT_EQ(H_cross, untouched);
+      EXPECT_EQ(b_second, r);
+      compute(B.data());
+      EXPECT_LT((H_second - B.transpose() * B).norm(), 1e-14 * size * size);
+      EXPECT_LT((H_cross - B.transpose() * A).norm(), 1e-14 * size * size);
+      EXPECT_LT((b_second + B.transpose() * r).norm(), 1e-14 * size * size);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace terse

@@ -202,6 +202,64 @@ TYPED_TEST(IncrementalSolverTest, PriorsReplaceTheAnchorAndItComesBack) {
   }
 }
 
+// The largest error of a pose in standard deviations of its own.
+template <class Pose>
+double LargestError(const PoseGraph<Pose>& graph, const std::vector<Pose>& estimates,
+                    const std::vector<Pose>& optimum) {
+  const Eigen::MatrixXd covariance = testing::MakeDenseSystem(graph, optimum).H.inverse();
+  double largest = 0;
+  for (std::size_t i = 1; i < optimum.size(); ++i) {
+    const auto at = static_cast<Eigen::Index>(i) * Pose::kDof;
+    const Eigen::VectorXd d = optimum[i].Local(estimates[i]);
+    const Eigen::MatrixXd block = covariance.block(at, at, Pose::kDof, Pose::kDof);
+    largest = std::max(largest, std::sqrt(d.dot(block.ldlt().solve(d))));
+  }
+  return largest;
+}
+
+struct RestRun {
+  int relinearised = 0;
+  double error = 0, gap = 0;  // the largest, in standard deviations, and above the least chi2
+};
+
+// With the information multiplied: the map, and every share of chi2, stay the same.
+template <class Pose>
+RestRun RunScaled(const PoseGraph<Pose>& unscaled, double times) {
+  PoseGraph<Pose> graph;
+  for (const auto& node : unscaled.Poses()) graph.AddPose(node.id);
+  for (const auto& node : unscaled.Factors()) {
+    auto f = std::get<RelativePoseFactor<Pose>>(node.factor);
+    f.information *= times;
+    graph.AddFactor(f);
+  }
+  IncrementalSolver<Pose> solver;
+  RestRun out;
+  int step = 0;
+  for (const auto& update : OnePosePerUpdate(graph)) {
+    out.relinearised += solver.Update(update).variables_relinearised;
+    if (++step % 10 != 0 || step < 30) continue;
+    const auto optimum = SolveBatch(solver.Graph(), solver.Estimates());
+    out.error = std::max(out.error, LargestError(solver.Graph(), solver.Estimates(), optimum.T_world_body));
+    out.gap = std::max(out.gap, solver.Chi2() / optimum.chi2 - 1);
+  }
+  return out;
+}
+
+// Where residuals are far below what the information promises, errors far below a standard deviation are left, but
+// none that the map's own scale would show much of.
+TYPED_TEST(IncrementalSolverTest, RestsWhereResidualsAreFarBelowTheirInformation) {
+  for (const std::uint64_t seed : testing::Seeds(1, 3)) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Random rng(seed);
+    const auto graph = testing::MakeRandomGraph<TypeParam>(rng, {70, 0.6, 0.03}).graph;
+    const RestRun strict = RunScaled(graph, 1e2), stricter = RunScaled(graph, 1e4), rests = RunScaled(graph, 1e-6);
+    EXPECT_NEAR(strict.relinearised, stricter.relinearised, 0.02 * strict.relinearised);
+    EXPECT_LT(rests.relinearised, 0.8 * strict.relinearised);
+    EXPECT_LT(rests.error, 1e-3);
+    EXPECT_LT(rests.gap, 2e-2);
+  }
+}
+
 // Two poses held ten apart, and an edge that says one: what gives way is the edge.
 TYPED_TEST(IncrementalSolverTest, FixedPosesStayThroughManyRelinearisations) {
   IncrementalOptions options = Exact();

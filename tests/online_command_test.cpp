@@ -268,6 +268,8 @@ TEST_F(OnlineCommand, TakesTheDimensionFromTheFirstMeasurement) {
   ExpectFailure("online --range 1 1 1 --innovation-quantile 1 < input", 2, "--innovation-quantile");
   ExpectFailure("online --range 1 1 1 --innovation-quantile 0.5 --no-innovation-test < input", 2, "excludes");
   ExpectFailure("online --range 1 1 1 --min-loop-gain nan < input", 2, "--min-loop-gain");
+  ExpectFailure("online --range 1 1 1 --step-budget-ms -1 < input", 2, "--step-budget-ms");
+  ExpectFailure("online --range 1 1 1 --step-budget-ms 5 --journal journal < input", 2, "--step-budget-ms");
 }
 
 TEST_F(OnlineCommand, ReadsThresholds) {

@@ -191,6 +191,35 @@ TEST(Ordering, AFactorThatGrowsStaysNearAFreshOne) {
   }
 }
 
+// A loop now and then, so that paths grow.
+int FreshOrders(double limit) {
+  constexpr int B = 3;
+  Random rng(6);
+  BlockCholesky<B> cholesky;
+  cholesky.LimitReordering(limit);
+  int fresh = 0;
+  for (int v = 0; v < 900; ++v) {
+    BlockCholesky<B>::Changes changes;
+    changes.new_variables = 1;
+    changes.added.push_back(RandomFactor<B>(rng, v, -1));
+    if (v > 0) changes.added.push_back(RandomFactor<B>(rng, v - 1, v));
+    if (v > 30 && v % 3 == 0) {
+      changes.added.push_back(RandomFactor<B>(rng, static_cast<int>(rng() % static_cast<std::uint64_t>(v - 5)), v));
+    }
+    const auto report = cholesky.Update(std::move(changes));
+    EXPECT_TRUE(report.ok);
+    fresh += v > 150 && report.path == CholeskyPath::kRefactored && report.variables == v + 1;
+  }
+  return fresh;
+}
+
+TEST(Ordering, FreshOrdersThatTakeTooLongForAStepAreRare) {
+  const int unlimited = FreshOrders(0), limited = FreshOrders(1e6);
+  EXPECT_EQ(FreshOrders(1e12), unlimited);
+  EXPECT_GT(unlimited, 0);
+  EXPECT_LT(limited, unlimited);
+}
+
 double ScalarsOfUpdates(const FrontTree<3>& tree) {
   double sum = 0;
   for (const int f : tree.TopDown()) sum += static_cast<double>(tree[f].update.size());

@@ -87,13 +87,13 @@ void RunInterleaved(std::uint64_t seed, long& ready) {
       ExpectEqualsDense(run.factor, run.mirror);
       if (::testing::Test::HasFatalFailure()) return;
     }
-    const Changes<B> changes = run.factor.PreparedChanges();
+    Changes<B> changes = run.factor.PreparedChanges();
     ASSERT_EQ(changes.replaced.size(), prepared.size());
     for (const auto& [slot, f] : changes.replaced) {
       ASSERT_EQ(f.residual, prepared.at(slot).residual);
       run.mirror.by_slot[slot] = f;
     }
-    ASSERT_TRUE(run.factor.UpdatePrepared(changes).ok);
+    ASSERT_TRUE(run.factor.UpdatePrepared(std::move(changes)).ok);
     ExpectEqualsDense(run.factor, run.mirror);
     ExpectSoundTree(run.factor);
     ASSERT_TRUE(run.factor.PreparedChanges().replaced.empty());

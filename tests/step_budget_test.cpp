@@ -51,6 +51,30 @@ void ExpectSameMap(const PoseGraph<Pose>& graph, double budget_seconds) {
   EXPECT_NEAR(solver.Chi2(), whole.Chi2(), 1e-3 * whole.Chi2());
 }
 
+// Where no step comes near the budget the clock decides nothing, however loaded the machine is.
+TEST(StepBudget, SmallMapsDoNotLookAtTheClock) {
+  const PoseGraph<SE2> graph = World<SE2>(Scene::kManhattan, 100, 3);
+  const auto run = [&](double budget_seconds) {
+    IncrementalOptions options;
+    options.budget_seconds = budget_seconds;
+    IncrementalSolver<SE2> solver(options);
+    int deferred = 0;
+    Replay<SE2>(graph, {}, solver, [&](const ReplayStep& step) {
+      deferred += step.report.deferred_relinearisations + step.report.deferred_fronts;
+      return true;
+    });
+    std::vector<Vector<3>> estimates;
+    for (const SE2& T : solver.Estimates()) {
+      estimates.emplace_back(T.Translation().x(), T.Translation().y(), T.Theta());
+    }
+    return std::pair(deferred, estimates);
+  };
+  const auto none = run(0), frame = run(0.033);
+  EXPECT_GT(run(1e-9).first, 0);
+  EXPECT_EQ(frame.first, 0);
+  EXPECT_EQ(frame.second, none.second);
+}
+
 TEST(StepBudget, ManhattanComesToTheSameMap) {
   for (const std::uint64_t seed : {3, 4, 5}) {
     SCOPED_TRACE("seed " + std::to_string(seed));

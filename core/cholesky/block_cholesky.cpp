@@ -86,6 +86,11 @@ void BlockCholesky<B>::SetThreads(int threads) {
 }
 
 template <int B>
+void BlockCholesky<B>::LimitReordering(double flops) {
+  parts_->region.LimitLooks(flops);
+}
+
+template <int B>
 void BlockCholesky<B>::DropUpdateMatrices() {
   parts_->numbers.DropUpdates();
 }
@@ -145,7 +150,7 @@ int BlockCholesky<B>::RefactorRegion(internal::UpdateContext<B>& update) {
 // The cheapest way that the method allows. Returns the variable at which the matrix was found not to be positive
 // definite, or -1.
 template <int B>
-int BlockCholesky<B>::BringIn(const typename BlockSystem<B>::Undo& undo, UpdateReport& report) {
+int BlockCholesky<B>::UpdateTree(const typename BlockSystem<B>::Undo& undo, UpdateReport& report) {
   auto& [tree, numbers, region, rank_update, substitution, prepared] = *parts_;
   internal::UpdateContext<B> update{system_, undo, tree, numbers, next_version_, report};
   if (numbers.HasDropped()) {
@@ -164,7 +169,7 @@ int BlockCholesky<B>::BringIn(const typename BlockSystem<B>::Undo& undo, UpdateR
 
 // The same with the fronts that were prepared; the others are ordered and factored again.
 template <int B>
-int BlockCholesky<B>::BringInPrepared(const typename BlockSystem<B>::Undo& undo, UpdateReport& report) {
+int BlockCholesky<B>::UpdateTreePrepared(const typename BlockSystem<B>::Undo& undo, UpdateReport& report) {
   auto& [tree, numbers, region, rank_update, substitution, prepared] = *parts_;
   internal::UpdateContext<B> update{system_, undo, tree, numbers, next_version_, report};
   const std::vector<int> ready = region.TakeAffectedBut(update, prepared);
@@ -217,15 +222,30 @@ typename BlockCholesky<B>::Changes BlockCholesky<B>::PreparedChanges() {
 }
 
 template <int B>
-typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::UpdatePrepared(const Changes& changes) {
-  UpdateReport report = Update(changes, true);
+typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::UpdatePrepared(Changes&& changes) {
+  system_.Check(changes);
+  UpdateReport report = BringIn(changes, std::move(changes.replaced), true);
   parts_->prepared.Forget();
   return report;
 }
 
 template <int B>
-typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& changes, bool is_prepared) {
+typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& changes) {
   system_.Check(changes);
+  return BringIn(changes, changes.replaced, false);
+}
+
+template <int B>
+typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(Changes&& changes) {
+  system_.Check(changes);
+  return BringIn(changes, std::move(changes.replaced), false);
+}
+
+// Of changes that were checked; what is replaced comes apart.
+template <int B>
+typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::BringIn(const Changes& changes,
+                                                                  typename BlockSystem<B>::Replaced replaced,
+                                                                  bool is_prepared) {
   UpdateReport report;
   next_version_ = internal::NextVersion();
   typename BlockSystem<B>::Undo undo;
@@ -238,10 +258,10 @@ typename BlockCholesky<B>::UpdateReport BlockCholesky<B>::Update(const Changes& 
     report.added_slots.clear();
   };
   try {
-    system_.Apply(changes, undo);
+    system_.Apply(changes, std::move(replaced), undo);
     Resize(Variables());
     report.added_slots = undo.added;
-    report.failed_variable = is_prepared ? BringInPrepared(undo, report) : BringIn(undo, report);
+    report.failed_variable = is_prepared ? UpdateTreePrepared(undo, report) : UpdateTree(undo, report);
   } catch (...) {
     take_back();
     throw;

@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "cholesky/undo.h"
+#include "terse/core/dense_kernels.h"
 #include "terse/core/front.h"
 #include "terse/core/graph_members.h"
 #include "terse/core/parallel.h"
@@ -20,6 +21,13 @@ constexpr size_t kMostRemembered = 256, kMostSteps = 32;
 // From so many on, removed slots leave a variable's list together.
 constexpr size_t kFewDetached = 16;
 constexpr size_t kChunk = 256;  // linear factors or variables that a thread takes at a time
+
+template <int B>
+void SetNormal(const LinearFactor<B>& f, typename BlockSystem<B>::Normal& n) {
+  internal::Kernels().normal_blocks(f.A_first.data(), f.second < 0 ? nullptr : f.A_second.data(), f.residual.data(), B,
+                                    n.H_first.data(), n.H_second.data(), n.H_cross.data(), n.b_first.data(),
+                                    n.b_second.data());
+}
 
 // Where many of these slots go from a variable's list, they go in one pass: taking all factors of a hub out costs no
 // more than their number.
@@ -77,12 +85,7 @@ void BlockSystem<B>::Detach(int slot) {
 template <int B>
 typename BlockSystem<B>::Normal BlockSystem<B>::NormalOf(const LinearFactor<B>& factor) {
   Normal n;
-  n.H_first.noalias() = factor.A_first.transpose() * factor.A_first;
-  n.b_first.noalias() = -(factor.A_first.transpose() * factor.residual);
-  if (factor.second < 0) return n;
-  n.H_second.noalias() = factor.A_second.transpose() * factor.A_second;
-  n.H_cross.noalias() = factor.A_second.transpose() * factor.A_first;
-  n.b_second.noalias() = -(factor.A_second.transpose() * factor.residual);
+  SetNormal(factor, n);
   return n;
 }
 
@@ -90,7 +93,14 @@ typename BlockSystem<B>::Normal BlockSystem<B>::NormalOf(const LinearFactor<B>& 
 template <int B>
 void BlockSystem<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
   factors_[At(slot)] = factor;
-  normals_[At(slot)] = NormalOf(factor);
+  SetNormal(factor, normals_[At(slot)]);
+}
+
+// The same, and `factor` is what was there.
+template <int B>
+void BlockSystem<B>::ExchangeSlot(int slot, LinearFactor<B>& factor) {
+  std::swap(factors_[At(slot)], factor);
+  SetNormal(factors_[At(slot)], normals_[At(slot)]);
 }
 
 // What a factor adds to the diagonal of one of its variables.
@@ -178,10 +188,9 @@ void BlockSystem<B>::AttachNew(int slot, Undo& undo) {
 }
 
 template <int B>
-void BlockSystem<B>::Apply(const Changes& changes, Undo& undo) {
+void BlockSystem<B>::Apply(const Changes& changes, Replaced replaced, Undo& undo) {
   undo.variables = Variables();
   undo.added.reserve(changes.added.size());
-  undo.replaced.reserve(changes.replaced.size());
   undo.removed.reserve(changes.removed.size());
   // Neither committing nor taking back allocates.
   internal::ReserveMore(free_slots_, changes.added.size() + changes.removed.size());
@@ -202,11 +211,9 @@ void BlockSystem<B>::Apply(const Changes& changes, Undo& undo) {
     Detach(slot);
     factors_[At(slot)].first = -1;
   }
-  for (const auto& [slot, factor] : changes.replaced) {
-    recount(slot);
-    undo.replaced.emplace_back(slot, factors_[At(slot)]);
-    SetSlot(slot, factor);
-  }
+  for (const auto& change : replaced) recount(change.first);
+  undo.replaced = std::move(replaced);
+  for (auto& [slot, factor] : undo.replaced) ExchangeSlot(slot, factor);
   for (const LinearFactor<B>& factor : changes.added) {
     int slot = static_cast<int>(factors_.size());
     if (free_slots_.empty()) {
@@ -226,7 +233,7 @@ void BlockSystem<B>::Apply(const Changes& changes, Undo& undo) {
 template <int B>
 void BlockSystem<B>::Revert(Undo& undo) {
   for (auto it = undo.added.rbegin(); it != undo.added.rend(); ++it) Detach(*it);
-  for (const auto& [slot, factor] : undo.replaced) SetSlot(slot, factor);
+  for (auto& [slot, factor] : undo.replaced) ExchangeSlot(slot, factor);
   for (const auto& [slot, factor] : undo.removed) {
     SetSlot(slot, factor);
     Attach(slot);  // into lists that had room for it
@@ -251,12 +258,13 @@ void BlockSystem<B>::Check(const Changes& changes) const {
       throw std::invalid_argument("a factor names an unknown variable, or the same one twice");
     }
   }
-  std::set<int> touched;
+  std::vector<int> touched;
+  touched.reserve(changes.removed.size() + changes.replaced.size());
   const auto check_slot = [&](int slot) {
     if (slot < 0 || At(slot) >= factors_.size() || factors_[At(slot)].first < 0) {
       throw std::invalid_argument("no such factor slot");
     }
-    if (!touched.insert(slot).second) throw std::invalid_argument("a factor slot is changed twice");
+    touched.push_back(slot);
   };
   for (const int slot : changes.removed) check_slot(slot);
   for (const auto& [slot, factor] : changes.replaced) {
@@ -265,6 +273,10 @@ void BlockSystem<B>::Check(const Changes& changes) const {
     if (old.first != factor.first || old.second != factor.second) {
       throw std::invalid_argument("a factor may not change its variables");
     }
+  }
+  if (!std::is_sorted(touched.begin(), touched.end())) std::sort(touched.begin(), touched.end());
+  if (std::adjacent_find(touched.begin(), touched.end()) != touched.end()) {
+    throw std::invalid_argument("a factor slot is changed twice");
   }
 }
 

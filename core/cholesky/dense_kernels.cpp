@@ -12,6 +12,8 @@ namespace terse::internal {
                        int depth);                                                                                   \
   void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);                     \
   void BackSubstitute(const double* panel, int rows, int pivots, double* x);                                         \
+  void NormalBlocks(const double* a, const double* b, const double* r, int size, double* H_first, double* H_second,  \
+                    double* H_cross, double* b_first, double* b_second);                                             \
   void AddRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,   \
                     int depth);                                                                                      \
   void SetRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,   \
@@ -23,8 +25,9 @@ namespace terse::internal {
   void TransformRows(double* y, int stride, const double* t, int rows, int depth);                                   \
   void SubtractCongruences(double* s, const double* y, int stride, const double* m, int count, int size, int depth); \
   constexpr DenseKernels kKernels = {                                                                                \
-      #set,         FactorPanel,       SubtractProduct,    RankUpdate,   BackSubstitute, AddRectangle,               \
-      SetRectangle, SubstituteForward, SubstituteBackward, SubtractRows, TransformRows,  SubtractCongruences};       \
+      #set,         FactorPanel,   SubtractProduct,    RankUpdate,        BackSubstitute,                            \
+      NormalBlocks, AddRectangle,  SetRectangle,       SubstituteForward, SubstituteBackward,                        \
+      SubtractRows, TransformRows, SubtractCongruences};                                                             \
   }
 TERSE_DECLARE_KERNELS(baseline)
 #ifdef TERSE_X86_KERNELS

@@ -18,6 +18,8 @@ constexpr int kLeastDrifting = 100;
 // The work between two looks, in factorisations of everything, each with flops for the order of a variable.
 constexpr double kLook = 16;
 constexpr double kOrderFlops = 2e4;
+// So many times as much where a look takes too long for a step.
+constexpr double kRarely = 8;
 // So many times the flops of when the fronts were ordered are too many.
 constexpr double kGrown = 1.25;
 
@@ -71,7 +73,8 @@ bool Region<B>::TakeAllIfDrifted(const UpdateContext<B>& update) {
   if (update.undo.variables < kLeastDrifting || watch_.work < watch_.next_look) return false;
   ScopedTimer timer(update.report.seconds_order);
   const FactorCost now = CostOf(update.tree);
-  watch_ = {0, kLook * (B * B * B * now.flops + kOrderFlops * update.tree.Variables())};
+  const double flops = B * B * B * now.flops + kOrderFlops * update.tree.Variables();
+  watch_ = {0, kLook * (most_flops_ > 0 && flops > most_flops_ ? kRarely : 1) * flops};
   TakeAll(update.tree);
   ordered_ = Order(update);
   if (now.paths > kDrift * CostOf(ordered_->fronts).paths) return true;
@@ -275,11 +278,11 @@ int Region<B>::RefactorAsOrdered(UpdateContext<B>& update) {
   return -1;
 }
 
-// Between updates nothing is taken.
+// Between updates nothing is taken; the limit is set again by who has one.
 template <int B>
 template <class Archive>
 void Region<B>::Serialize(Archive& archive) {
-  auto& [fronts, variables, is_taken, local, ordered, watch] = *this;
+  auto& [fronts, variables, is_taken, local, ordered, watch, most_flops] = *this;
   archive(watch.work, watch.next_look);
 }
 

@@ -38,6 +38,8 @@ class Region {
   };
   const DriftWatch& Watch() const { return watch_; }
   void SetWatch(const DriftWatch& watch) { watch_ = watch; }
+  // From now on, looks that take more flops are rare; 0: no limit.
+  void LimitLooks(double flops) { most_flops_ = flops; }
 
   template <class Archive>
   void Serialize(Archive& archive);
@@ -65,6 +67,7 @@ class Region {
   std::vector<int> local_;            // by variable: index in variables_, else -1
   std::optional<Couplings> ordered_;  // what was taken, if it is ordered already
   DriftWatch watch_;
+  double most_flops_ = 0;
 };
 
 extern template class Region<3>;

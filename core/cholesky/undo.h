@@ -17,11 +17,11 @@ void ReserveMore(std::vector<T>& v, std::size_t more) {
 
 template <int B>
 struct BlockSystem<B>::Undo {
-  int variables = 0;                                               // before
-  std::vector<int> added;                                          // slots
-  std::vector<std::pair<int, LinearFactor<B>>> replaced, removed;  // slots and what was there
-  std::vector<std::pair<int, Vector<B>>> diagonals;                // of old variables, before each addition to them
-  std::vector<std::pair<int, int>> recounted;                      // (variable, block of slots) of all other changes
+  int variables = 0;                                 // before
+  std::vector<int> added;                            // slots
+  Replaced replaced, removed;                        // slots and what was there
+  std::vector<std::pair<int, Vector<B>>> diagonals;  // of old variables, before each addition to them
+  std::vector<std::pair<int, int>> recounted;        // (variable, block of slots) of all other changes
 
   // Many changes of a hub are in the same block.
   void Recount(int variable, int block) {

@@ -5,6 +5,19 @@
 #include "terse/core/residual.h"
 
 namespace terse {
+namespace {
+
+// W J. Of SE(3) the lower left 3x3 blocks of both are zero.
+void Whiten(const Matrix<3, 3>& W, const Matrix<3, 3>& J, Matrix<3, 3>& out) { out.noalias() = W * J; }
+void Whiten(const Matrix<6, 6>& W, const Matrix<6, 6>& J, Matrix<6, 6>& out) {
+  const auto top = W.topLeftCorner<3, 3>();
+  out.topLeftCorner<3, 3>().noalias() = top * J.topLeftCorner<3, 3>();
+  out.topRightCorner<3, 3>().noalias() = top * J.topRightCorner<3, 3>();
+  out.topRightCorner<3, 3>().noalias() += W.topRightCorner<3, 3>() * J.bottomRightCorner<3, 3>();
+  out.bottomRightCorner<3, 3>().noalias() = W.bottomRightCorner<3, 3>() * J.bottomRightCorner<3, 3>();
+}
+
+}  // namespace
 
 template <class Pose>
 Matrix<Pose::kDof, Pose::kDof> SquareRootInformation(const Factor<Pose>& factor) {
@@ -25,12 +38,12 @@ LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, const Matrix<Pose
   if (const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
     const auto e = EvaluateRelative(f->T_from_to, T_world_first, T_world_second);
     out.second = second;
-    out.A_first.noalias() = W * e.J_residual_from;
-    out.A_second.noalias() = W * e.J_residual_to;
+    Whiten(W, e.J_residual_from, out.A_first);
+    Whiten(W, e.J_residual_to, out.A_second);
     out.residual.noalias() = W * e.residual;
   } else if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) {
     const auto e = EvaluatePrior(f->T_world_body, T_world_first);
-    out.A_first.noalias() = W * e.J_residual_pose;
+    Whiten(W, e.J_residual_pose, out.A_first);
     out.residual.noalias() = W * e.residual;
   } else {
     const auto e = EvaluatePosition(std::get<PositionPriorFactor<Pose>>(factor), T_world_first);

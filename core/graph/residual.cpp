@@ -1,14 +1,45 @@
 #include "terse/core/residual.h"
 
 namespace terse {
+namespace {
 
-template <class Pose>
-RelativeResidual<Pose> EvaluateRelative(const Pose& T_from_to, const Pose& T_world_from, const Pose& T_world_to) {
-  const Pose T_to_from = T_world_to.Between(T_world_from);
-  RelativeResidual<Pose> out;
+// J Ad(T), J = [A B; 0 A] as LocalJacobian gives it and Ad(T) = [R t^R; 0 R].
+Matrix<6, 6> TimesAdjoint(const Matrix<6, 6>& J, const SE3& T) {
+  const Matrix<3, 3> R = T.Rotation().Rotation(), A = J.topLeftCorner<3, 3>();
+  const Matrix<3, 3> AR = A * R, shifted = A * Hat(T.Translation()) + J.topRightCorner<3, 3>();
+  Matrix<6, 6> out;
+  out.topLeftCorner<3, 3>() = out.bottomRightCorner<3, 3>() = AR;
+  out.topRightCorner<3, 3>().noalias() = shifted * R;
+  out.bottomLeftCorner<3, 3>().setZero();
+  return out;
+}
+
+}  // namespace
+
+template <>
+RelativeResidual<SE3> EvaluateRelative(const SE3& T_from_to, const SE3& T_world_from, const SE3& T_world_to) {
+  const SE3 T_to_from = T_world_to.Between(T_world_from);
+  RelativeResidual<SE3> out;
   out.residual = (T_world_from * T_from_to).Local(T_world_to);
-  out.J_residual_to = Pose::LocalJacobian(out.residual);
-  out.J_residual_from = -out.J_residual_to * T_to_from.Adjoint();
+  out.J_residual_to = SE3::LocalJacobian(out.residual);
+  out.J_residual_from = -TimesAdjoint(out.J_residual_to, T_to_from);
+  return out;
+}
+
+// With the rotations that the poses hold, and one more.
+template <>
+RelativeResidual<SE2> EvaluateRelative(const SE2& T_from_to, const SE2& T_world_from, const SE2& T_world_to) {
+  const SE2 T_world_measured = T_world_from * T_from_to;
+  const Matrix<2, 2> R_measured_world = T_world_measured.Rotation().transpose();
+  const Vector<2> arm = R_measured_world * (T_world_from.Translation() - T_world_to.Translation());
+  RelativeResidual<SE2> out;
+  out.residual = T_world_measured.Local(T_world_to);
+  out.J_residual_to.setIdentity();
+  out.J_residual_to.topLeftCorner<2, 2>().noalias() = R_measured_world * T_world_to.Rotation();
+  out.J_residual_from.setIdentity();
+  out.J_residual_from *= -1;
+  out.J_residual_from.topLeftCorner<2, 2>().noalias() = -(R_measured_world * T_world_from.Rotation());
+  out.J_residual_from.topRightCorner<2, 1>() << -arm.y(), arm.x();
   return out;
 }
 
@@ -58,7 +89,6 @@ double FactorChi2(const Factor<Pose>& factor, const Pose& T_world_first, const P
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                          \
-  template RelativeResidual<Pose> EvaluateRelative<Pose>(const Pose&, const Pose&, const Pose&);         \
   template PriorResidual<Pose> EvaluatePrior<Pose>(const Pose&, const Pose&);                            \
   template PositionResidual<Pose> EvaluatePosition<Pose>(const PositionPriorFactor<Pose>&, const Pose&); \
   template double FactorChi2<Pose>(const Factor<Pose>&, const Pose&, const Pose&);

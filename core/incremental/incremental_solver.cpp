@@ -24,6 +24,12 @@ constexpr int kMostFinishRounds = 10;
 // A step without loops that still expects to lower the cost by so many loops: the steps lead nowhere.
 constexpr double kDiverging = 1e3;
 constexpr double kSameMinimum = 1e-3;
+// What a restart or a rescue takes, about, in relinearisations of everything.
+constexpr int kRestartRounds = 30;
+// With a budget that it may exceed, a map is rescued at every so many steps at most.
+constexpr long kRescueEvery = 10;
+// Of a second of the budget: a fresh order that takes more is a step of its own.
+constexpr double kFlopsPerSecond = 1e9;
 
 using internal::Log;
 using internal::ScopedTimer;
@@ -62,6 +68,10 @@ struct IncrementalSolver<Pose>::Parts {
   void LogStep(const GraphUpdate<Pose>& update, const StepReport& report, bool was_deferred,
                const IncrementalOptions& options) const;
   double TimedChi2(StepReport& report) const;
+  bool MayTakeLong(const IncrementalOptions& options) const {
+    return options.budget_seconds == 0 ||
+           internal::Relinearization<Pose>::IsQuick(map, options.budget_seconds, kRestartRounds);
+  }
   bool MoveTo(const std::vector<Pose>& T_world_body, const IncrementalOptions& options);
   void RestartIfLower(Step& step);
   void RescueIfDiverging(const internal::UpdatePlan<Pose>& plan, Step& step);
@@ -73,6 +83,7 @@ IncrementalSolver<Pose>::IncrementalSolver(const IncrementalOptions& options)
   const std::string defect = FindDefect(options);
   if (!defect.empty()) throw std::invalid_argument("incremental options: " + defect);
   parts_->map.SetThreads(options.threads);
+  parts_->map.LimitReordering(kFlopsPerSecond * options.budget_seconds);
   parts_->judge = internal::LoopJudge<Pose>(options.robust);
   if (options.robust.kernel != RobustKernel::kNone) parts_->map.WatchPoses();
 }
@@ -127,9 +138,9 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   parts_->RescueIfDiverging(plan, step);
   if (MayRestart(options_)) {
     watch.NoteStep(minimum_before, minimum_after, map, options_);
-    const bool may_take_long = report.gate_open && options_.budget_seconds == 0;
-    if (may_take_long && watch.SeemsTrapped(map)) parts_->RestartIfLower(step);
+    if (report.gate_open && watch.SeemsTrapped(map) && parts_->MayTakeLong(options_)) parts_->RestartIfLower(step);
   }
+  relinearization.NoteNew(report.gate_open, map, options_);
   relinearization.EndStep(map);
   if (report_cost) report.actual_decrease -= parts_->TimedChi2(report);
   report.seconds += step.Seconds();
@@ -251,13 +262,15 @@ void IncrementalSolver<Pose>::Parts::RestartIfLower(Step& step) {
 }
 
 // kGnc: a loop that went again while the map was on its way to it can leave the map where full steps lead nowhere. Then
-// it comes to rest by damped ones, from where it is and from composed odometry, with the loops that are in.
+// it comes to rest by damped ones, from where it is and from composed odometry, with the loops that are in. A map that
+// is lost is worse than a step that takes too long, so this is not left out under a budget.
 template <class Pose>
 void IncrementalSolver<Pose>::Parts::RescueIfDiverging(const internal::UpdatePlan<Pose>& plan, Step& step) {
   const IncrementalOptions& options = step.options;
   const bool may = options.robust.kernel == RobustKernel::kGnc && options.carry == Carry::kOffset &&
-                   options.budget_seconds == 0 && step.report.gate_open && plan.BringsLoopsOnly() && plan.Loops() == 0;
+                   step.report.gate_open && plan.BringsLoopsOnly() && plan.Loops() == 0;
   if (!may || !(step.report.gate_value > kDiverging * judge.Width() * judge.Width())) return;
+  if (map.Updates() % kRescueEvery != 0 && !MayTakeLong(options)) return;
   BatchOptions batch;
   batch.threads = options.threads;
   const PoseGraph<Pose> graph = WithWeights(map.Graph(), judge.WeightsIn(map));
@@ -415,6 +428,7 @@ void IncrementalSolver<Pose>::Serialize(Archive& archive) {
       if (!defect.empty()) archive.Fail(defect);
     }
     relinearization.NoteLoaded(map);
+    map.LimitReordering(kFlopsPerSecond * options.budget_seconds);
     if ((options.robust.kernel != RobustKernel::kNone) != judge.IsActive()) archive.Fail("loops that nobody judges");
   }
 }

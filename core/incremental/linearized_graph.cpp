@@ -46,21 +46,22 @@ double LinearizedGraph<Pose>::Chi2Of(FactorId id) const {
 }
 
 template <class Pose>
-LinearFactor<Pose::kDof> LinearizedGraph<Pose>::LinearizeSlot(int slot, const PointOf& point) const {
+LinearFactor<Pose::kDof> LinearizedGraph<Pose>::LinearizeSlot(int slot, const Pose& T_world_first,
+                                                              const Pose& T_world_second) const {
   const LinearFactor<B>& was = cholesky_.LinearFactorAt(slot);
   if (slot == anchor_slot_) return was;  // proximal: the same at any value
   const FactorId id = IdAt(slot);
   const int second = was.second < 0 ? was.first : was.second;
   if (id.value >= 0) {
-    return Linearize(graph_.FindFactor(id)->factor, RootAt(slot), was.first, second, point(was.first), point(second));
+    return Linearize(graph_.FindFactor(id)->factor, RootAt(slot), was.first, second, T_world_first, T_world_second);
   }
   const auto& fixed = graph_.Poses()[At(was.first)];
-  return Linearize<Pose>(FixedPosePrior<Pose>(fixed.id, *fixed.T_world_body), was.first, was.first, point(was.first),
-                         point(was.first));
+  return Linearize<Pose>(FixedPosePrior<Pose>(fixed.id, *fixed.T_world_body), was.first, was.first, T_world_first,
+                         T_world_first);
 }
 
 template <class Pose>
-std::vector<int> LinearizedGraph<Pose>::SlotsOn(const std::map<int, Pose>& points) const {
+std::vector<int> LinearizedGraph<Pose>::SlotsOn(const PointMap<Pose>& points) const {
   std::vector<int> slots;
   for (const auto& [v, T] : points) slots.insert(slots.end(), cholesky_.SlotsOf(v).begin(), cholesky_.SlotsOf(v).end());
   std::sort(slots.begin(), slots.end());
@@ -70,12 +71,9 @@ std::vector<int> LinearizedGraph<Pose>::SlotsOn(const std::map<int, Pose>& point
 
 template <class Pose>
 typename LinearizedGraph<Pose>::Replacements LinearizedGraph<Pose>::LinearizeAround(
-    const std::map<int, Pose>& points) const {
+    const PointMap<Pose>& points) const {
   const std::vector<int> slots = SlotsOn(points);
-  const auto point = [&](int v) -> const Pose& {
-    const auto it = points.find(v);
-    return it != points.end() ? it->second : points_[At(v)];
-  };
+  const auto point = [&](int v) -> const Pose& { return points.Find(v, points_[At(v)]); };
   Replacements out;
   out.reserve(slots.size());
   for (const int slot : slots) out.emplace_back(slot, LinearizeSlot(slot, point));
@@ -93,32 +91,33 @@ double LinearizedGraph<Pose>::DegreesOfFreedom() const {
 }
 
 template <class Pose>
-void LinearizedGraph<Pose>::ChangeCosts(const LinearFactor<B>& factor, int sign) {
-  cost_at_points_ += sign * factor.residual.squaredNorm();
+void LinearizedGraph<Pose>::AddCosts(const LinearFactor<B>& factor, Costs& costs) const {
+  costs.at_points += factor.residual.squaredNorm();
   const auto offset = [&](int v) { return OffsetOf(v).data(); };
-  cost_at_offsets_ += sign * internal::LinearResidual(factor, offset).squaredNorm();
+  costs.at_offsets += internal::LinearResidual(factor, offset).squaredNorm();
 }
 
 template <class Pose>
 void LinearizedGraph<Pose>::RecountCosts() {
-  cost_at_points_ = cost_at_offsets_ = 0;
+  cost_ = {};
   for (int slot = 0; slot < Slots(); ++slot) {
-    if (cholesky_.LinearFactorAt(slot).first >= 0) ChangeCosts(cholesky_.LinearFactorAt(slot), 1);
+    if (cholesky_.LinearFactorAt(slot).first >= 0) CountCost(slot);
   }
 }
 
+// `update` brings the changes into the Cholesky factor.
 template <class Pose>
+template <class Update>
 typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::UpdateCholesky(const Changes& changes,
                                                                                    StepReport& report,
-                                                                                   bool is_prepared) {
-  std::vector<LinearFactor<B>> gone;
-  gone.reserve(changes.removed.size() + changes.replaced.size());
-  for (const int slot : changes.removed) gone.push_back(cholesky_.LinearFactorAt(slot));
-  for (const auto& change : changes.replaced) gone.push_back(cholesky_.LinearFactorAt(change.first));
+                                                                                   const Update& update) {
+  Costs gone;
+  for (const int slot : changes.removed) AddCosts(cholesky_.LinearFactorAt(slot), gone);
+  for (const auto& change : changes.replaced) AddCosts(cholesky_.LinearFactorAt(change.first), gone);
   UpdateReport done;
   {
     ScopedTimer timer(seconds_.factor);
-    done = is_prepared ? cholesky_.UpdatePrepared(changes) : cholesky_.Update(changes);
+    done = update();
   }
   seconds_.order += done.seconds_order;
   seconds_.factor -= done.seconds_order;
@@ -127,7 +126,8 @@ typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::UpdateCholes
   report.variables_refactored += done.variables;
   report.flops += done.flops;
   if (!done.ok) return done;
-  for (const auto& factor : gone) ChangeCosts(factor, -1);
+  cost_.at_points -= gone.at_points;
+  cost_.at_offsets -= gone.at_offsets;
   return done;
 }
 
@@ -135,11 +135,11 @@ template <class Pose>
 typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::Add(const GraphUpdate<Pose>& update,
                                                                         const UpdatePlan<Pose>& plan,
                                                                         StepReport& report) {
-  UpdateReport done = UpdateCholesky(plan.changes, report);
+  UpdateReport done = UpdateCholesky(plan.changes, report, [&] { return cholesky_.Update(plan.changes); });
   if (!done.ok) return done;
   report.path = done.path;
-  for (const auto& change : plan.changes.replaced) ChangeCosts(change.second, 1);
-  for (const auto& factor : plan.changes.added) ChangeCosts(factor, 1);
+  for (const auto& change : plan.changes.replaced) AddCosts(change.second, cost_);
+  for (const auto& factor : plan.changes.added) AddCosts(factor, cost_);
   Commit(update, plan, done.added_slots, report);
   if (!plan.moved_points.empty()) RecountCosts();  // the offsets are gone
   return done;
@@ -183,9 +183,9 @@ typename LinearizedGraph<Pose>::UpdateReport LinearizedGraph<Pose>::Exchange(con
   Changes changes;
   changes.added = in;
   changes.removed = out;
-  UpdateReport done = UpdateCholesky(changes, report);
+  UpdateReport done = UpdateCholesky(changes, report, [&] { return cholesky_.Update(changes); });
   if (!done.ok) return done;
-  for (const auto& factor : in) ChangeCosts(factor, 1);
+  for (const auto& factor : in) AddCosts(factor, cost_);
   return done;
 }
 
@@ -196,6 +196,7 @@ void LinearizedGraph<Pose>::Bind(int slot, FactorId id, const Matrix<B, B>& W) {
   slots_[At(slot)].id = id;
   if (id.value < 0) return;
   slots_[At(slot)].W = W;
+  bound_.push_back(slot);
   slot_of_factor_[At(id)] = slot;
   measured_scalars_ += Dimension(graph_.FindFactor(id)->factor);
 }
@@ -209,11 +210,10 @@ void LinearizedGraph<Pose>::Release(FactorId id) {
 }
 
 template <class Pose>
-bool LinearizedGraph<Pose>::Relinearize(const std::map<int, Pose>& points, const Replacements& replaced,
-                                        StepReport& report) {
+bool LinearizedGraph<Pose>::Relinearize(const PointMap<Pose>& points, Replacements replaced, StepReport& report) {
   Changes changes;
-  changes.replaced = replaced;
-  if (!UpdateCholesky(changes, report).ok) return false;
+  changes.replaced = std::move(replaced);
+  if (!UpdateCholesky(changes, report, [&] { return cholesky_.Update(std::move(changes)); }).ok) return false;
   for (const auto& [v, T] : points) {
     points_[At(v)] = T;
     cholesky_.ClearSolution(v);
@@ -229,17 +229,17 @@ PreparationProgress LinearizedGraph<Pose>::Advance(Clock::time_point deadline) {
 }
 
 template <class Pose>
-bool LinearizedGraph<Pose>::RelinearizePrepared(const std::map<int, Pose>& points, Replacements& replaced,
+bool LinearizedGraph<Pose>::RelinearizePrepared(const PointMap<Pose>& points, std::vector<int>& slots,
                                                 StepReport& report) {
   Changes changes = cholesky_.PreparedChanges();
-  if (!UpdateCholesky(changes, report, true).ok) return false;
+  for (const auto& change : changes.replaced) slots.push_back(change.first);
+  if (!UpdateCholesky(changes, report, [&] { return cholesky_.UpdatePrepared(std::move(changes)); }).ok) return false;
   for (const auto& [v, T] : points) {
     const Vector<B> d = T.Local(EstimateAt(v));
     points_[At(v)] = T;
     cholesky_.SetSolution(v, d);
     Touch(v);
   }
-  replaced = std::move(changes.replaced);
   return true;
 }
 
@@ -251,7 +251,7 @@ bool LinearizedGraph<Pose>::MoveTo(const std::vector<Pose>& T_world_body, const 
     if (cholesky_.LinearFactorAt(slot).first < 0) continue;
     changes.replaced.emplace_back(slot, slot == anchor_slot_ ? Anchor(gauge) : LinearizeSlot(slot, point));
   }
-  if (!cholesky_.Update(changes).ok) return false;
+  if (!cholesky_.Update(std::move(changes)).ok) return false;
   points_ = T_world_body;
   frame_.gauge = gauge;
   frame_.found_at = frame_.absolute.Count();
@@ -264,7 +264,7 @@ template <class Pose>
 std::vector<int> LinearizedGraph<Pose>::Solve(double threshold, std::optional<Clock::time_point> deadline,
                                               StepReport& report) {
   std::vector<int> moved = cholesky_.Solve(threshold, deadline);
-  cost_at_offsets_ = MinimumCost();
+  cost_.at_offsets = MinimumCost();
   report.solve_flops += cholesky_.LastSolve().flops;
   report.variables_moved += static_cast<int>(moved.size());
   for (const int v : moved) Touch(v);
@@ -290,9 +290,9 @@ void LinearizedGraph<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
     if (llt.info() != Eigen::Success) continue;  // held by a later pose only: stays where it was composed
     const Vector<B> d = llt.solve(b);
     const auto& slots = cholesky_.SlotsOf(v);
-    for (const int slot : slots) cost_at_offsets_ -= LinearResidual(slot).squaredNorm();
+    for (const int slot : slots) cost_.at_offsets -= LinearResidual(slot).squaredNorm();
     cholesky_.SetSolution(v, d);
-    for (const int slot : slots) cost_at_offsets_ += LinearResidual(slot).squaredNorm();
+    for (const int slot : slots) cost_.at_offsets += LinearResidual(slot).squaredNorm();
     ++report.variables_moved;
   }
   report.predicted_decrease -= RemainingDecrease();
@@ -324,9 +324,9 @@ typename LinearizedGraph<Pose>::Steps LinearizedGraph<Pose>::TakeStep(const std:
 template <class Pose>
 template <class Archive>
 void LinearizedGraph<Pose>::Serialize(Archive& archive) {
-  auto& [graph, points, cholesky, slot_of_factor, slots, anchor_slot, frame, cost_at_points, cost_at_offsets,
-         measured_scalars, updates, is_watched, touched, seconds] = *this;
-  archive(graph, points, cholesky, slot_of_factor, anchor_slot, cost_at_points, cost_at_offsets, measured_scalars,
+  auto& [graph, points, cholesky, slot_of_factor, slots, anchor_slot, frame, cost, measured_scalars, updates,
+         is_watched, touched, bound, seconds] = *this;
+  archive(graph, points, cholesky, slot_of_factor, anchor_slot, cost.at_points, cost.at_offsets, measured_scalars,
           updates, is_watched, touched);
   archive.Each(slots, [&](Slot& slot) {
     auto& [id, W] = slot;

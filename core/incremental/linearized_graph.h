@@ -9,13 +9,13 @@
 
 #include <algorithm>
 #include <chrono>
-#include <functional>
 #include <map>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "incremental/point_map.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/block_cholesky.h"
 #include "terse/core/gauge.h"
@@ -56,8 +56,7 @@ class LinearizedGraph {
  public:
   static constexpr int B = Pose::kDof;
   using Clock = std::chrono::steady_clock;
-  using PointOf = std::function<const Pose&(int)>;
-  using Replacements = std::vector<std::pair<int, LinearFactor<B>>>;  // by slot
+  using Replacements = typename BlockSystem<B>::Replaced;
   using Changes = typename BlockCholesky<B>::Changes;
   using UpdateReport = typename BlockCholesky<B>::UpdateReport;
   using Steps = std::map<int, Vector<B>>;  // by variable
@@ -71,6 +70,7 @@ class LinearizedGraph {
   // So far, empty ones among them; the one at hand counts once it has been added, so the first is 1.
   long Updates() const { return updates_; }
   void SetThreads(int threads) { cholesky_.SetThreads(threads); }
+  void LimitReordering(double flops) { cholesky_.LimitReordering(flops); }
 
   Eigen::Map<const Vector<B>> OffsetOf(int index) const {
     return Eigen::Map<const Vector<B>>(cholesky_.Solution().data() + static_cast<std::size_t>(index) * B);
@@ -90,18 +90,23 @@ class LinearizedGraph {
   const Matrix<B, B>& RootAt(int slot) const { return slots_[static_cast<std::size_t>(slot)].W; }
   void SetRoot(int slot, const Matrix<B, B>& W) { slots_[static_cast<std::size_t>(slot)].W = W; }
 
-  // A slot's measurement at other points, by variable; those of all slots on some poses.
-  LinearFactor<Pose::kDof> LinearizeSlot(int slot, const PointOf& point) const;
-  std::vector<int> SlotsOn(const std::map<int, Pose>& points) const;
-  Replacements LinearizeAround(const std::map<int, Pose>& points) const;
+  // A slot's measurement at other points, point(variable); those of all slots on some poses.
+  template <class PointOf>
+  LinearFactor<Pose::kDof> LinearizeSlot(int slot, const PointOf& point) const {
+    const LinearFactor<B>& was = cholesky_.LinearFactorAt(slot);
+    return LinearizeSlot(slot, point(was.first), point(was.second < 0 ? was.first : was.second));
+  }
+  LinearFactor<Pose::kDof> LinearizeSlot(int slot, const Pose& T_world_first, const Pose& T_world_second) const;
+  std::vector<int> SlotsOn(const PointMap<Pose>& points) const;
+  Replacements LinearizeAround(const PointMap<Pose>& points) const;
   // A d + r at the present d.
   Vector<Pose::kDof> LinearResidual(int slot) const;
 
   // Of the linearised system: its least chi2; by how much the present d is above that; scalars measured beyond those
   // estimated (at least one); and what changes of chi2 are measured by: chi2 itself, with a floor for measurements that
   // fit to rounding.
-  double MinimumCost() const { return cost_at_points_ - cholesky_.NewtonDecrement(); }
-  double RemainingDecrease() const { return std::max(0.0, cost_at_offsets_ - MinimumCost()); }
+  double MinimumCost() const { return cost_.at_points - cholesky_.NewtonDecrement(); }
+  double RemainingDecrease() const { return std::max(0.0, cost_.at_offsets - MinimumCost()); }
   double DegreesOfFreedom() const;
   double CostUnit() const { return std::max(MinimumCost(), 1e-6 * DegreesOfFreedom()); }
 
@@ -110,18 +115,20 @@ class LinearizedGraph {
   // Loops that come in, with their weights in them, and slots that go; their measurements stay in the graph.
   UpdateReport Exchange(const std::vector<LinearFactor<B>>& in, const std::vector<int>& out, StepReport& report);
   void Bind(int slot, FactorId id, const Matrix<B, B>& W);
+  // Slots that were bound since this was asked last.
+  std::vector<int> TakeBound() { return std::exchange(bound_, {}); }
   void Release(FactorId id);
   // New linearisation points and the slots' measurements at them; their offsets become zero. The slots' costs are
   // counted by CountCost, one after the other.
-  bool Relinearize(const std::map<int, Pose>& points, const Replacements& replaced, StepReport& report);
+  bool Relinearize(const PointMap<Pose>& points, Replacements replaced, StepReport& report);
   // The same in pieces, while the map goes on (BlockCholesky::Prepare). The offsets become those from the new points to
-  // the present estimates; `replaced` is what was prepared.
+  // the present estimates; `slots` are those that were prepared.
   void Prepare(const Replacements& replaced) { cholesky_.Prepare(replaced); }
   PreparationProgress Advance(Clock::time_point deadline);
   void EndPreparedStep() { cholesky_.EndPreparedStep(); }
   void ForgetPrepared() { cholesky_.ForgetPrepared(); }
-  bool RelinearizePrepared(const std::map<int, Pose>& points, Replacements& replaced, StepReport& report);
-  void CountCost(int slot) { ChangeCosts(cholesky_.LinearFactorAt(slot), 1); }
+  bool RelinearizePrepared(const PointMap<Pose>& points, std::vector<int>& slots, StepReport& report);
+  void CountCost(int slot) { AddCosts(cholesky_.LinearFactorAt(slot), cost_); }
   // All points, and the gauge that goes with them.
   bool MoveTo(const std::vector<Pose>& T_world_body, const Gauge<Pose>& gauge);
 
@@ -147,8 +154,12 @@ class LinearizedGraph {
     FactorId id;
     Matrix<B, B> W;
   };
-  UpdateReport UpdateCholesky(const Changes& changes, StepReport& report, bool is_prepared = false);
-  void ChangeCosts(const LinearFactor<B>& factor, int sign);
+  struct Costs {
+    double at_points = 0, at_offsets = 0;
+  };
+  template <class Update>
+  UpdateReport UpdateCholesky(const Changes& changes, StepReport& report, const Update& update);
+  void AddCosts(const LinearFactor<B>& factor, Costs& costs) const;
   void RecountCosts();
   void Touch(int index) {
     if (is_watched_) touched_.push_back(index);
@@ -163,11 +174,12 @@ class LinearizedGraph {
   std::vector<Slot> slots_;
   int anchor_slot_ = -1;
   MapFrame<Pose> frame_;
-  double cost_at_points_ = 0, cost_at_offsets_ = 0;  // of the linearised system
+  Costs cost_;  // of the linearised system
   long measured_scalars_ = 0;
   long updates_ = 0;
   bool is_watched_ = false;
   std::vector<int> touched_;
+  std::vector<int> bound_;  // empty between updates
   PhaseSeconds seconds_;
 };
 

@@ -68,7 +68,7 @@ bool LoopJudge<Pose>::ReviewWeights(StepContext<Pose>& step) {
     replaced.emplace_back(slot, map.LinearizeSlot(slot, point));
   }
   const bool reweighed =
-      !replaced.empty() && step.relinearization.MovePoints({}, replaced, map, step.options, step.report);
+      !replaced.empty() && step.relinearization.MovePoints({}, std::move(replaced), map, step.options, step.report);
   if (out.empty() || !Exchange({}, out, step)) return reweighed;
   for (const Loop& loop : out) Park(loop.id, loop.residual.squaredNorm());
   has_evicted_ = false;

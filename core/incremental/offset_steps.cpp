@@ -19,7 +19,10 @@ bool OptimizeOffsets(int new_poses, bool was_deferred, StepContext<Pose>& step) 
   const auto seconds = [](double s) {
     return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(s));
   };
-  if (options.budget_seconds > 0) deadline = start + seconds(options.budget_seconds);
+  if (options.budget_seconds > 0 &&
+      !Relinearization<Pose>::IsQuick(map, options.budget_seconds, options.max_iterations)) {
+    deadline = start + seconds(options.budget_seconds);
+  }
   // Leaves time for back-substitution.
   const auto for_points = [&, &options = step.options, &relinearization = step.relinearization] {
     std::optional<Clock::time_point> until = deadline;
@@ -42,6 +45,7 @@ bool OptimizeOffsets(int new_poses, bool was_deferred, StepContext<Pose>& step) 
   }
   do {
     BackSubstitute(deadline, step);
+    step.relinearization.NoteNew(true, step.map, options);
     ++report.iterations;
   } while (report.iterations < options.max_iterations && relinearization.IsUrgent(map, options) &&
            map.Cholesky().LastSolve().deferred == 0 && !(deadline && Clock::now() > *for_points()) &&

@@ -36,13 +36,13 @@ template <class Pose>
 bool MoveBy(typename LinearizedGraph<Pose>::Steps& steps, StepContext<Pose>& step) {
   LinearizedGraph<Pose>& map = step.map;
   const LogSink& log = step.options.log;
-  std::map<int, Pose> points;
+  PointMap<Pose> points;
   typename LinearizedGraph<Pose>::Replacements replaced;
   double before = 0, after = 0;
   const auto place = [&](double share) {
     ScopedTimer timer(map.Seconds().linearise);
-    points.clear();
-    for (const auto& [v, d] : steps) points.emplace(v, map.Points()[At(v)].Retract(share * d));
+    points = {};
+    for (const auto& [v, d] : steps) points.Add(v, map.Points()[At(v)].Retract(share * d));
     replaced = map.LinearizeAround(points);
     before = 0;
     for (const auto& change : replaced) before += map.Cholesky().LinearFactorAt(change.first).residual.squaredNorm();
@@ -67,7 +67,7 @@ bool MoveBy(typename LinearizedGraph<Pose>::Steps& steps, StepContext<Pose>& ste
     }
     if (share < 1) Log(log, LogLevel::kDebug, "step ", map.Updates(), ": shortened to ", share, " of itself");
   }
-  if (!step.relinearization.MovePoints(points, replaced, map, step.options, step.report)) return false;
+  if (!step.relinearization.MovePoints(points, std::move(replaced), map, step.options, step.report)) return false;
   step.report.actual_decrease += before - after;
   return true;
 }

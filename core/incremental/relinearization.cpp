@@ -18,11 +18,13 @@ using std::size_t;
 // Relinearised factors may cost this many times as much as before (curved valleys climb a little) before the
 // points go only part of the way, at least this share of it.
 constexpr double kClimb = 4, kLeastShare = 0.05;
-// Linearisation errors of so many times what is tolerated do not wait for the interval.
-constexpr double kUrgent = 100;
+// Standard deviations, squared, and shares of chi2.
+constexpr double kRest = 3e-4, kMostShares = 30;
+// Linearisation errors of so many times the share of chi2, or what is tolerated at rest, do not wait for the interval.
+constexpr double kUrgent = 100, kUrgentAtRest = 10;
 // Shares of what is tolerated: from which on a pose's factors are looked at, and a neighbour joins those that are
 // relinearised.
-constexpr double kWorthLooking = 1e-2, kWorthJoining = 1e-2;
+constexpr double kWorthLooking = 0.2, kWorthJoining = 1e-2;
 
 // What does not fit into the budget moves at the latest after so many steps, whatever it takes.
 constexpr long kMostSteps = 10;
@@ -30,6 +32,8 @@ constexpr long kMostSteps = 10;
 constexpr size_t kPiece = 64;
 // What linearising a measurement takes, and everything that comes with it.
 constexpr double kSlotFlops = 2e3;
+// What any machine does in a second.
+constexpr double kSlowFlops = 1e8;
 // How fast the measured speed follows.
 constexpr double kFollow = 0.3;
 
@@ -45,15 +49,26 @@ void WarnOfRefusal(size_t points, const LinearizedGraph<Pose>& map, const Increm
       " new linearisation points, the old ones stay");
 }
 
+// Errors that add up to E move no pose by more than sqrt(E) of its standard deviations: d' S^-1 d <= |A d|^2 <= E.
+// Where chi2 is far below what the information promises, its share would never let the map rest: there the share of
+// what was promised is tolerated, but no more than kRest, nor than so many shares of chi2, for the information may
+// promise too little.
 template <class Pose>
 double Tolerated(const LinearizedGraph<Pose>& map, const IncrementalOptions& options) {
-  return options.relinearize_tolerance * map.CostUnit();
+  const double share = options.relinearize_tolerance * map.CostUnit();
+  const double promised = options.relinearize_tolerance * map.DegreesOfFreedom();
+  return std::max(share, std::min({kRest, promised, kMostShares * share}));
+}
+
+template <class Pose>
+double Urgent(const LinearizedGraph<Pose>& map, const IncrementalOptions& options) {
+  return std::max(kUrgent * options.relinearize_tolerance * map.CostUnit(), kUrgentAtRest * Tolerated(map, options));
 }
 
 // What is far below the tolerance is counted but not looked for.
 template <class Pose>
 double Suspicious(const LinearizedGraph<Pose>& map, const IncrementalOptions& options) {
-  return 1e-5 * options.relinearize_tolerance * map.CostUnit();
+  return 1e-5 * Tolerated(map, options);
 }
 
 template <class Pose>
@@ -71,6 +86,15 @@ double SquaredResiduals(const std::vector<std::pair<int, LinearFactor<B>>>& repl
 }
 
 }  // namespace
+
+template <class Pose>
+bool Relinearization<Pose>::IsQuick(const Map& map, double seconds, int rounds) {
+  const double most = kSlowFlops * seconds / rounds;
+  double flops = kSlotFlops * static_cast<double>(map.Cholesky().Slots());
+  if (flops > most) return false;
+  for (const int f : map.Cholesky().Tree().TopDown()) flops += map.Cholesky().Tree()[f].RefactorFlops();
+  return flops <= most;
+}
 
 template <class Pose>
 void Relinearization<Pose>::Resize(const Map& map) {
@@ -109,7 +133,7 @@ double Relinearization<Pose>::PossibleError(int variable, const Map& map) const 
 template <class Pose>
 void Relinearization<Pose>::NoteMoved(const std::vector<int>& moved, const Map& map,
                                       const IncrementalOptions& options) {
-  const double worth = kWorthLooking * options.relinearize_tolerance * map.CostUnit();
+  const double worth = kWorthLooking * Tolerated(map, options);
   for (const int v : moved) {
     const double possible = PossibleError(v, map);
     double& known = At(v).possible;  // 0: not listed
@@ -121,8 +145,25 @@ void Relinearization<Pose>::NoteMoved(const std::vector<int>& moved, const Map& 
 }
 
 template <class Pose>
+void Relinearization<Pose>::NoteNew(bool gate_open, Map& map, const IncrementalOptions& options) {
+  const std::vector<int> slots = map.TakeBound();
+  if (slots.empty() || options.carry != Carry::kOffset) return;
+  Resize(map);
+  ++look_;
+  for (const int slot : slots) {
+    const double error = LinearizationError(slot, map);
+    SetError(slot, error, Suspicious(map, options));
+    if (!gate_open || !(error > kWorthLooking * Tolerated(map, options))) continue;
+    const int v = map.Cholesky().LinearFactorAt(slot).first;
+    if (At(v).possible == 0) moved_.push_back(v);
+    At(v).possible += error;
+    possible_error_ += error;
+  }
+}
+
+template <class Pose>
 bool Relinearization<Pose>::IsUrgent(const Map& map, const IncrementalOptions& options) const {
-  return possible_error_ > kUrgent * options.relinearize_tolerance * map.CostUnit();
+  return possible_error_ > Urgent(map, options);
 }
 
 // EstimateAt for many factors on the same poses; from one look at the errors to the next.
@@ -144,7 +185,10 @@ Vector<Pose::kDof> Relinearization<Pose>::WhitenedResidualAt(int slot, const Map
 // How far the linearised factor is from the true one, in units of chi2.
 template <class Pose>
 double Relinearization<Pose>::LinearizationError(int slot, const Map& map) {
-  if (map.Cholesky().LinearFactorAt(slot).first < 0 || map.IdAt(slot).value < 0) return 0;
+  const LinearFactor<B>& f = map.Cholesky().LinearFactorAt(slot);
+  if (f.first < 0 || map.IdAt(slot).value < 0) return 0;
+  const auto is_at_point = [&](int v) { return v < 0 || map.OffsetOf(v).isZero(0); };
+  if (is_at_point(f.first) && is_at_point(f.second)) return 0;
   return (WhitenedResidualAt(slot, map) - map.LinearResidual(slot)).squaredNorm();
 }
 
@@ -194,18 +238,17 @@ void Relinearization<Pose>::SortSuspects(double suspicious) {
 
 // The poses of the worst factors, so many that what is left is half of what is tolerated.
 template <class Pose>
-std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, const Map& map,
-                                                       const IncrementalOptions& options) {
+PointMap<Pose> Relinearization<Pose>::ChoosePoses(double more_than, const Map& map, const IncrementalOptions& options) {
   const BlockCholesky<B>& cholesky = map.Cholesky();
   const double tolerated = Tolerated(map, options);
-  std::map<int, Pose> points;
-  if (error_sum_ <= times * tolerated) return points;
+  PointMap<Pose> points;
+  if (error_sum_ <= more_than) return points;
   SortSuspects(Suspicious(map, options));
   double left = error_sum_;
   std::vector<int> added;
   const auto add = [&](int v) {
-    if (v < 0 || !IsOutgrown(v, map, options) || points.count(v) != 0) return;
-    points.emplace(v, RememberedEstimate(v, map));
+    if (v < 0 || !IsOutgrown(v, map, options) || points.Has(v)) return;
+    points.Add(v, RememberedEstimate(v, map));
     added.push_back(v);
   };
   for (const int slot : suspects_) {
@@ -220,7 +263,7 @@ std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, const Map& 
     for (const int slot : cholesky.SlotsOf(added[k])) {
       const LinearFactor<B>& f = cholesky.LinearFactorAt(slot);
       const int other = f.first == added[k] ? f.second : f.first;
-      if (other < 0 || points.count(other) != 0 || !IsOutgrown(other, map, options)) continue;
+      if (other < 0 || points.Has(other) || !IsOutgrown(other, map, options)) continue;
       if (ErrorAfter(slot, points, map) > kWorthJoining * tolerated) add(other);
     }
   }
@@ -229,30 +272,28 @@ std::map<int, Pose> Relinearization<Pose>::ChoosePoses(double times, const Map& 
 
 // The linearisation error of a factor when these poses are relinearised.
 template <class Pose>
-double Relinearization<Pose>::ErrorAfter(int slot, const std::map<int, Pose>& points, const Map& map) {
-  const auto point = [&](int v) -> const Pose& {
-    const auto it = points.find(v);
-    return it != points.end() ? it->second : map.Points()[static_cast<size_t>(v)];
-  };
+double Relinearization<Pose>::ErrorAfter(int slot, const PointMap<Pose>& points, const Map& map) {
+  const auto point = [&](int v) -> const Pose& { return points.Find(v, map.Points()[static_cast<size_t>(v)]); };
   const LinearFactor<B> f = map.LinearizeSlot(slot, point);
-  const auto offset = [&](int v) { return points.count(v) == 0 ? map.OffsetOf(v).data() : nullptr; };
+  const auto offset = [&](int v) { return points.Has(v) ? nullptr : map.OffsetOf(v).data(); };
   const Vector<B> linear = LinearResidual(f, offset);
   return (WhitenedResidualAt(slot, map) - linear).squaredNorm();
 }
 
 template <class Pose>
-bool Relinearization<Pose>::MovePoints(const std::map<int, Pose>& points, const typename Map::Replacements& replaced,
-                                       Map& map, const IncrementalOptions& options, StepReport& report) {
-  if (!map.Relinearize(points, replaced, report)) {
+bool Relinearization<Pose>::MovePoints(const PointMap<Pose>& points, typename Map::Replacements replaced, Map& map,
+                                       const IncrementalOptions& options, StepReport& report) {
+  std::vector<int> slots;
+  for (const auto& change : replaced) slots.push_back(change.first);
+  if (!map.Relinearize(points, std::move(replaced), report)) {
     WarnOfRefusal(points.size(), map, options);
     return false;
   }
   for (const auto& point : points) At(point.first).seen.setZero();
   ++look_;
-  for (const auto& change : replaced) {
-    map.CountCost(change.first);
-    SetError(change.first, options.carry == Carry::kOffset ? LinearizationError(change.first, map) : 0,
-             Suspicious(map, options));
+  for (const int slot : slots) {
+    map.CountCost(slot);
+    SetError(slot, options.carry == Carry::kOffset ? LinearizationError(slot, map) : 0, Suspicious(map, options));
   }
   report.variables_relinearised += static_cast<int>(points.size());
   return true;
@@ -264,7 +305,7 @@ bool Relinearization<Pose>::MoveWorst(bool urgently, Deadline deadline, Map& map
   if (!prepared_.points.empty()) {
     return MovePrepared(deadline.value_or(Clock::time_point::max()), map, options, report);
   }
-  std::map<int, Pose> points;
+  PointMap<Pose> points;
   {
     ScopedTimer timer(map.Seconds().linearise);
     if (!UpdateErrors(deadline, map, options)) {
@@ -272,7 +313,7 @@ bool Relinearization<Pose>::MoveWorst(bool urgently, Deadline deadline, Map& map
       return false;
     }
     looked_at_ = map.Updates();
-    points = ChoosePoses(urgently ? kUrgent : 1, map, options);
+    points = ChoosePoses(urgently ? Urgent(map, options) : Tolerated(map, options), map, options);
   }
   if (points.empty()) return false;
   if (!deadline || Fits(points, *deadline, map)) return MoveAtOnce(std::move(points), map, options, report);
@@ -281,7 +322,7 @@ bool Relinearization<Pose>::MoveWorst(bool urgently, Deadline deadline, Map& map
 }
 
 template <class Pose>
-bool Relinearization<Pose>::MoveAtOnce(std::map<int, Pose> points, Map& map, const IncrementalOptions& options,
+bool Relinearization<Pose>::MoveAtOnce(PointMap<Pose> points, Map& map, const IncrementalOptions& options,
                                        StepReport& report) {
   const auto start = Clock::now();
   typename Map::Replacements replaced;
@@ -299,16 +340,16 @@ bool Relinearization<Pose>::MoveAtOnce(std::map<int, Pose> points, Map& map, con
       replaced = map.LinearizeAround(points);
     }
   }
-  const double flops = report.flops;
-  if (!MovePoints(points, replaced, map, options, report)) return false;
-  const double done = report.flops - flops + kSlotFlops * static_cast<double>(replaced.size());
+  const double flops = report.flops, slots = static_cast<double>(replaced.size());
+  if (!MovePoints(points, std::move(replaced), map, options, report)) return false;
+  const double done = report.flops - flops + kSlotFlops * slots;
   const double measured = std::chrono::duration<double>(Clock::now() - start).count() / done;
   seconds_per_flop_ += kFollow * (measured - seconds_per_flop_);
   return true;
 }
 
 template <class Pose>
-bool Relinearization<Pose>::Fits(const std::map<int, Pose>& points, Clock::time_point deadline, const Map& map) const {
+bool Relinearization<Pose>::Fits(const PointMap<Pose>& points, Clock::time_point deadline, const Map& map) const {
   const double flops_left =
       std::chrono::duration<double>(deadline - Clock::now()).count() / std::max(seconds_per_flop_, 1e-12);
   const BlockCholesky<B>& cholesky = map.Cholesky();
@@ -324,7 +365,7 @@ bool Relinearization<Pose>::Fits(const std::map<int, Pose>& points, Clock::time_
 }
 
 template <class Pose>
-void Relinearization<Pose>::Prepare(std::map<int, Pose> points, Map& map) {
+void Relinearization<Pose>::Prepare(PointMap<Pose> points, Map& map) {
   prepared_ = {};
   prepared_.points = std::move(points);
   prepared_.since = map.Updates();
@@ -348,7 +389,7 @@ void Relinearization<Pose>::QueueChanged(Map& map) {
   if (!changes) return PrepareAgain(map);  // too many
   for (const auto& change : *changes) {
     const LinearFactor<B>& f = cholesky.LinearFactorAt(change.slot);
-    if (f.first >= 0 && (prepared_.points.count(f.first) != 0 || prepared_.points.count(f.second) != 0)) {
+    if (f.first >= 0 && (prepared_.points.Has(f.first) || prepared_.points.Has(f.second))) {
       prepared_.queue.push_back(change.slot);
     }
   }
@@ -367,8 +408,7 @@ bool Relinearization<Pose>::LinearizePrepared(Clock::time_point deadline, Map& m
   ScopedTimer timer(map.Seconds().linearise);
   auto& [points, queue, before, cost, share, is_checked, since, version] = prepared_;
   const auto point = [&, &points = points](int v) -> const Pose& {
-    const auto it = points.find(v);
-    return it != points.end() ? it->second : map.Points()[static_cast<size_t>(v)];
+    return points.Find(v, map.Points()[static_cast<size_t>(v)]);
   };
   typename Map::Replacements replaced;
   for (;;) {
@@ -412,17 +452,17 @@ bool Relinearization<Pose>::MovePrepared(Clock::time_point deadline, Map& map, c
   }
   report.deferred_relinearisations = is_ready ? 0 : static_cast<int>(prepared_.points.size());
   if (!is_ready) return false;
-  const std::map<int, Pose> points = std::move(prepared_.points);
+  const PointMap<Pose> points = std::move(prepared_.points);
   prepared_ = {};
-  typename Map::Replacements replaced;
-  if (progress.failed_variable >= 0 || !map.RelinearizePrepared(points, replaced, report)) {
+  std::vector<int> slots;
+  if (progress.failed_variable >= 0 || !map.RelinearizePrepared(points, slots, report)) {
     WarnOfRefusal(points.size(), map, options);
     map.ForgetPrepared();
     return false;
   }
-  for (const auto& change : replaced) {
-    map.CountCost(change.first);
-    SetError(change.first, 0, Suspicious(map, options));
+  for (const int slot : slots) {
+    map.CountCost(slot);
+    SetError(slot, 0, Suspicious(map, options));
   }
   std::vector<int> moved;
   for (const auto& point : points) {
@@ -454,7 +494,15 @@ void Relinearization<Pose>::Serialize(Archive& archive) {
   auto& [points, queue, before, cost, share, is_checked, since, version] = prepared;
   std::vector<std::pair<int, Pose>> list(points.begin(), points.end());
   archive.Each(list, [&](std::pair<int, Pose>& entry) { archive(entry.first, entry.second); });
-  points = std::map<int, Pose>(list.begin(), list.end());
+  if constexpr (Archive::kReads) {
+    points = {};
+    for (const auto& [v, T] : list) {
+      if (v < 0 || static_cast<size_t>(v) >= poses.size() || points.Has(v)) {
+        archive.Fail("a pose is made ready that there is not, or twice");
+      }
+      points.Add(v, T);
+    }
+  }
   archive(queue, before, cost, share, is_checked, since);
 }
 
@@ -481,9 +529,6 @@ std::string Relinearization<Pose>::FindStateDefect(const Map& map) const {
   }
   const auto& [points, queue, before, cost, share, is_checked, since, version] = prepared_;
   if (!are_below(queue, slots_.size())) return "a slot is to be linearised that there is not";
-  if (!points.empty() && (points.begin()->first < 0 || static_cast<size_t>(points.rbegin()->first) >= poses_.size())) {
-    return "a pose is made ready that there is not";
-  }
   if (unfinished_solves_ < 0 || since < 0 || since > map.Updates() || !(share > 0 && share <= 1)) {
     return "it has miscounted";
   }

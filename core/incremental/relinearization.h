@@ -18,12 +18,19 @@ class Relinearization {
   using Clock = std::chrono::steady_clock;
   using Deadline = std::optional<Clock::time_point>;
 
+  // Whether relinearising everything, as often as a step may, should take less than so many seconds on the slowest
+  // machine: then a step need not look at the clock, and does the same every time.
+  static bool IsQuick(const Map& map, double seconds, int rounds);
+
   // Follows the map: its poses and slots after every update, a slot before it is released, and when all points move and
   // every pose is its own linearisation point.
   void Resize(const Map& map);
   void Release(int slot) { error_sum_ -= std::exchange(slots_[static_cast<std::size_t>(slot)].error, 0.0); }
   void ForgetErrors(Map& map);
 
+  // Measurements that came in since this was called last: their poses may be far from their linearisation points. That
+  // opens no gate that is shut.
+  void NoteNew(bool gate_open, Map& map, const IncrementalOptions& options);
   // Poses that moved by back-substitution.
   void NoteMoved(const std::vector<int>& moved, const Map& map, const IncrementalOptions& options);
   // What back-substitutions took of late at most, about; how many in a row did not come to an end.
@@ -50,7 +57,7 @@ class Relinearization {
   // After whatever else a step did.
   void EndStep(Map& map);
   // Moves linearisation points; their d becomes zero. If the Cholesky factor does not take it, nothing changes.
-  bool MovePoints(const std::map<int, Pose>& points, const typename Map::Replacements& replaced, Map& map,
+  bool MovePoints(const PointMap<Pose>& points, typename Map::Replacements replaced, Map& map,
                   const IncrementalOptions& options, StepReport& report);
 
   template <class Archive>
@@ -78,15 +85,15 @@ class Relinearization {
   const Pose& RememberedEstimate(int index, const Map& map);
   Vector<Pose::kDof> WhitenedResidualAt(int slot, const Map& map);
   double LinearizationError(int slot, const Map& map);
-  double ErrorAfter(int slot, const std::map<int, Pose>& points, const Map& map);
+  double ErrorAfter(int slot, const PointMap<Pose>& points, const Map& map);
   bool UpdateErrors(Deadline deadline, const Map& map, const IncrementalOptions& options);
   void SetError(int slot, double error, double suspicious);
   void SortSuspects(double suspicious);
-  std::map<int, Pose> ChoosePoses(double times, const Map& map, const IncrementalOptions& options);
-  bool MoveAtOnce(std::map<int, Pose> points, Map& map, const IncrementalOptions& options, StepReport& report);
+  PointMap<Pose> ChoosePoses(double more_than, const Map& map, const IncrementalOptions& options);
+  bool MoveAtOnce(PointMap<Pose> points, Map& map, const IncrementalOptions& options, StepReport& report);
   // In pieces.
-  bool Fits(const std::map<int, Pose>& points, Clock::time_point deadline, const Map& map) const;
-  void Prepare(std::map<int, Pose> points, Map& map);
+  bool Fits(const PointMap<Pose>& points, Clock::time_point deadline, const Map& map) const;
+  void Prepare(PointMap<Pose> points, Map& map);
   void PrepareAgain(Map& map);
   void QueueChanged(Map& map);
   bool LinearizePrepared(Clock::time_point deadline, Map& map, const IncrementalOptions& options);
@@ -107,7 +114,7 @@ class Relinearization {
 
   // Points that are made ready.
   struct Prepared {
-    std::map<int, Pose> points;
+    PointMap<Pose> points;
     std::vector<int> queue;       // slots to be linearised
     double before = 0, cost = 0;  // of those that were
     double share = 1;             // of the way to the estimates that the points go

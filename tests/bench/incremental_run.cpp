@@ -1,10 +1,13 @@
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 
 #include "bench_runs.h"
 #include "cholmod_matrix.h"
 #include "terse/core/arrival.h"
 #include "terse/core/incremental_solver.h"
+#include "terse/covariance/marginals.h"
 
 namespace terse::bench {
 namespace {
@@ -27,16 +30,30 @@ GraphUpdate<Pose> UpdateOf(const PoseGraph<Pose>& graph, const ArrivalStep& step
   return update;
 }
 
+// The largest error of a pose in standard deviations of its own, at the optimum.
+template <class Pose>
+double LargestError(const IncrementalSolver<Pose>& solver, BatchResult<Pose> optimum) {
+  const std::vector<Pose> best = optimum.T_world_body, estimates = solver.Estimates();
+  const auto covariances = Marginals<Pose>(solver.Graph(), std::move(optimum)).AllMarginals();
+  double largest = 0;
+  for (std::size_t i = 0; i < best.size(); ++i) {
+    const typename Pose::Tangent d = best[i].Local(estimates[i]);
+    largest = std::max(largest, d.dot(covariances[i].ldlt().solve(d)));
+  }
+  return std::sqrt(largest);
+}
+
 // What is looked at every so many steps.
 template <class Pose>
 struct Samples {
   double gap_sum = 0, worst_gap = 0, final_gap = 0, chi2 = 0, cholmod_seconds = 0, cholmod_last = 0;
+  double error_sum = 0, worst_error = 0;
   nlohmann::json gaps = nlohmann::json::array();  // [poses, gap]
 
   void Gap(const IncrementalSolver<Pose>& solver) {
     BatchOptions options;
     options.relative_tolerance = 1e-9;
-    const auto optimum = SolveBatch(solver.Graph(), solver.Estimates(), options);
+    auto optimum = SolveBatch(solver.Graph(), solver.Estimates(), options);
     chi2 = solver.Chi2();
     // Before the first loop the optimum is 0 but for rounding, and a ratio says nothing.
     if (optimum.chi2 < 1e-9 * static_cast<double>(solver.Graph().Poses().size())) return;
@@ -44,6 +61,9 @@ struct Samples {
     worst_gap = std::max(worst_gap, final_gap);
     gap_sum += final_gap;
     gaps.push_back({solver.Graph().Poses().size(), final_gap});
+    const double error = LargestError(solver, std::move(optimum));
+    error_sum += error;
+    worst_error = std::max(worst_error, error);
   }
   void Cholmod(const IncrementalSolver<Pose>& solver) {
     CholmodMatrix<Pose> matrix(solver.Graph(), solver.LinearizationPoints());
@@ -103,6 +123,8 @@ nlohmann::json RunIncremental(const PoseGraph<Pose>& graph, int interval) {
       {"mean_gap", samples.gaps.empty() ? 0 : samples.gap_sum / static_cast<double>(samples.gaps.size())},
       {"worst_gap", samples.worst_gap},
       {"final_gap", samples.final_gap},
+      {"mean_error", samples.gaps.empty() ? 0 : samples.error_sum / static_cast<double>(samples.gaps.size())},
+      {"worst_error", samples.worst_error},
       {"gaps", samples.gaps},
       {"interval", interval},
       {"factor_flops", flops},

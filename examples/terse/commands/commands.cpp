@@ -89,6 +89,16 @@ RobustOptions CompactRobust::For(const CompactOptions<Pose>& map) const {
 template RobustOptions CompactRobust::For(const CompactOptions<SE2>&) const;
 template RobustOptions CompactRobust::For(const CompactOptions<SE3>&) const;
 
+CLI::Option* AddStepBudgetOption(CLI::App& subcommand, double& milliseconds) {
+  return subcommand
+      .add_option("--step-budget-ms", milliseconds,
+                  "What optimising the map would take longer in a step is spread over the next ones; 0: never. Where "
+                  "no step can come near it the result does not depend on it")
+      ->check(NonNegativeNumber())
+      ->type_name("MS")
+      ->capture_default_str();
+}
+
 void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile) {
   CLI::Option* option =
       subcommand

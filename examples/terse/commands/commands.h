@@ -61,6 +61,10 @@ struct CompactRobust {
 };
 void AddRobustOptions(CLI::App& subcommand, CompactRobust& robust);
 
+// --step-budget-ms, for what runs beside a sensor: a step may take a frame's time unless told otherwise; 0: no limit.
+inline constexpr double kFrameMs = 33;
+CLI::Option* AddStepBudgetOption(CLI::App& subcommand, double& milliseconds);
+
 // --innovation-quantile and --no-innovation-test (absent), for every subcommand that tests links.
 void AddInnovationOptions(CLI::App& subcommand, std::optional<double>& quantile);
 

@@ -30,6 +30,7 @@ struct KittiCommandOptions {
   Strategy strategy = StereoCompactOptions().strategy;
   CompactBudget budget;
   CompactRobust robust;
+  double step_budget_ms = kFrameMs;
   double min_variance_drop = 0, retire_share = CompactOptions<SE3>().retire_share;
   Search search = Search::kInformation;
   MotionCovariance covariance = MotionCovariance::kSchur;
@@ -80,6 +81,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.slam.compact.min_variance_drop = options.min_variance_drop;
   how.slam.compact.retire_share = options.retire_share;
   how.slam.compact.solver.robust = options.robust.For(how.slam.compact);
+  how.slam.compact.solver.budget_seconds = options.step_budget_ms / 1000;
   how.slam.compact.most_dropped = MostDropped(options.remember);
   how.by_appearance = by_appearance;
   how.quiet = options.quiet;
@@ -142,6 +144,7 @@ void AddKittiCommand(CLI::App& app) {
   AddBudgetOptions(*command, options->budget);
   AddBoundedOptions(*command, options->min_variance_drop, options->retire_share);
   AddRobustOptions(*command, options->robust);
+  AddStepBudgetOption(*command, options->step_budget_ms);
   AddRememberOption(
       *command, options->remember,
       "Dropped poses that are remembered: so many of the newest, and those on the chains of others; older "

@@ -28,6 +28,7 @@ struct OnlineCommandOptions {
   std::string remember;  // a number of dropped poses, "all", or as the journal or the outputs have it
   std::optional<double> innovation_quantile = 0.9999;
   CompactRobust robust;
+  double step_budget_ms = kFrameMs;
   LogSink log;
   OnlineRunOptions run;
 };
@@ -62,6 +63,8 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   thresholds.min_pose_gain = from.min_pose_gain.value_or(thresholds.min_pose_gain);
   options.innovation_quantile = from.innovation_quantile;
   options.solver.robust = from.robust.For(options);
+  // What a journal brings back has to be the same to the last bit.
+  if (from.journal.empty()) options.solver.budget_seconds = from.step_budget_ms / 1000;
   options.budget = from.budget;
   options.min_variance_drop = from.min_variance_drop;
   options.retire_share = from.retire_share;
@@ -208,6 +211,9 @@ void AddOnlineCommand(CLI::App& app) {
                    "Every line taken is on disk before its decision is written; if the file exists, its lines are "
                    "taken again first")
       ->type_name("FILE");
+  AddStepBudgetOption(*command, options->step_budget_ms)
+      ->excludes("--journal")
+      ->default_str("33; none with a journal, which brings a run back to the last bit");
   command
       ->add_option_function<double>(
           "--journal-size", [options](double megabytes) { options->run.journal_bytes = std::lround(megabytes * 1e6); },

@@ -103,7 +103,9 @@ class BlockCholesky {
 
   // If the changed matrix is not positive definite (to rounding), or a right-hand side is not finite, nothing is
   // changed and ok is false. Throws std::invalid_argument for changes that contradict each other or the graph.
-  [[nodiscard]] UpdateReport Update(const Changes& changes) { return Update(changes, false); }
+  [[nodiscard]] UpdateReport Update(const Changes& changes);
+  // The same without a copy of what is replaced, which is gone afterwards, ok or not.
+  [[nodiscard]] UpdateReport Update(Changes&& changes);
 
   // An update that only replaces linear factors can be made ready in pieces, while others go on and the old factor
   // stays in use. Prepare adds to what is prepared; a slot that another update changes is not any more. Advance goes on
@@ -115,11 +117,14 @@ class BlockCholesky {
   void EndPreparedStep();
   void ForgetPrepared();
   Changes PreparedChanges();
-  [[nodiscard]] UpdateReport UpdatePrepared(const Changes& changes);
+  [[nodiscard]] UpdateReport UpdatePrepared(Changes&& changes);
 
   // Up to so many threads (1 at first) share large work; results are the same to the last bit for any number. Throws
   // std::invalid_argument for less than one.
   void SetThreads(int threads);
+  // A fresh order of everything that takes more flops is rarely looked for: it would be a step of its own. 0: no limit,
+  // as at first. Not stored.
+  void LimitReordering(double flops);
   // For those who factor all at once, in a batch: the update matrices of a large factor go as soon as they have been
   // assembled, which leaves a fraction of the memory. An Update later on factors everything again; nothing can be made
   // ready in pieces.
@@ -177,10 +182,10 @@ class BlockCholesky {
   struct Parts;
   void Swap(BlockCholesky& other) noexcept;
   void Resize(int variables);
-  int BringIn(const typename BlockSystem<B>::Undo& undo, UpdateReport& report);
-  int BringInPrepared(const typename BlockSystem<B>::Undo& undo, UpdateReport& report);
+  int UpdateTree(const typename BlockSystem<B>::Undo& undo, UpdateReport& report);
+  int UpdateTreePrepared(const typename BlockSystem<B>::Undo& undo, UpdateReport& report);
   int RefactorRegion(internal::UpdateContext<B>& update);
-  UpdateReport Update(const Changes& changes, bool is_prepared);
+  UpdateReport BringIn(const Changes& changes, typename BlockSystem<B>::Replaced replaced, bool is_prepared);
   // As state_file.h says.
   friend struct internal::StateAccess;
   template <class Archive>

@@ -26,11 +26,12 @@ struct StateAccess;
 template <int B>
 class BlockSystem {
  public:
+  using Replaced = std::vector<std::pair<int, LinearFactor<B>>>;  // by slot
   struct Changes {
-    int new_variables = 0;                                  // numbered on from Variables()
-    std::vector<LinearFactor<B>> added;                     // may name the new variables
-    std::vector<std::pair<int, LinearFactor<B>>> replaced;  // slot, same variables
-    std::vector<int> removed;                               // slots
+    int new_variables = 0;               // numbered on from Variables()
+    std::vector<LinearFactor<B>> added;  // may name the new variables
+    Replaced replaced;                   // on the same variables
+    std::vector<int> removed;            // slots
   };
   // What a linear factor adds to H and b.
   struct Normal {
@@ -62,8 +63,9 @@ class BlockSystem {
   void Check(const Changes& changes) const;
   // What Apply did, so that it can be taken back.
   struct Undo;
-  // Leaves `undo` able to take back what was done so far, whatever throws.
-  void Apply(const Changes& changes, Undo& undo);
+  // Leaves `undo` able to take back what was done so far, whatever throws. Of the changes, what is replaced comes
+  // apart: `undo` takes it over.
+  void Apply(const Changes& changes, Replaced replaced, Undo& undo);
   void Revert(Undo& undo);
   // The slots of what was removed are free from now on, and the changes are remembered as those since that version.
   void Commit(const Undo& undo, std::uint64_t version_before) noexcept;
@@ -82,6 +84,7 @@ class BlockSystem {
 
  private:
   void SetSlot(int slot, const LinearFactor<B>& factor);
+  void ExchangeSlot(int slot, LinearFactor<B>& factor);
   void Attach(int slot);
   bool AttachTo(int variable, int slot);
   void AttachNew(int slot, Undo& undo);

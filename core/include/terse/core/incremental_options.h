@@ -63,12 +63,14 @@ struct IncrementalOptions {
 
   // kOffset: factors are relinearised, those with the largest error first, when their linearisation errors
   // |r(estimate) - (r + A d)|^2 (whitened) add up to more than this share of chi2, until they add up to half of it.
+  // Where chi2 is far below the degrees of freedom, their share is tolerated, up to 0.0003, which moves no pose by more
+  // than 0.02 standard deviations, and 30 shares of chi2. Errors of poses that can hardly matter are not looked for.
   double relinearize_tolerance = 1e-6;
   // Only poses whose d exceeds either are looked at.
   double relinearize_metres = 0;
   double relinearize_radians = 0;
-  // Relinearisation is considered at every n-th step, or at once where the errors may be 100 times what is tolerated:
-  // the steps between touch far less, and the estimate, which includes d, hardly notices.
+  // Relinearisation is considered at every n-th step, or at once where the errors may be 100 times that share and 10
+  // times what is tolerated: the steps between touch far less, and the estimate, which includes d, hardly notices.
   int relinearize_interval = 10;
   // Back-substitution leaves a subtree alone where no pose above it moved by so much that this, all else held, would
   // change chi2 by more than this share of it. 0 is exact.
@@ -90,7 +92,8 @@ struct IncrementalOptions {
 
   // Seconds a step may take; 0: no limit. kOffset: relinearisation that does not fit is made ready in pieces by later
   // steps and moves at once, after ten steps at the latest; back-substitution leaves subtrees to the next step, those
-  // that moved least, but every tenth goes to the end. kPoint: iterations end. Adding the factors is never deferred. An
+  // that moved least, but every tenth goes to the end; a map so small that no step can come near the budget does not
+  // look at the clock, and does the same every time. kPoint: iterations end. Adding the factors is never deferred. An
   // update without factors works off what is left.
   double budget_seconds = 0;
 
@@ -104,7 +107,8 @@ struct IncrementalOptions {
   double reweigh_tolerance = 1e-4;
 
   // A step after which the map seems to sit in a wrong minimum, and Finish, try a chordal relaxation of the graph and
-  // go on from there if it costs less (core/incremental/minimum_watch.h). kOffset, without a robust kernel.
+  // go on from there if it costs less (core/incremental/minimum_watch.h). kOffset, without a robust kernel, and in a
+  // step only where that should fit into the budget.
   bool restart = true;
 
   // At most, and only where a step's work is large; the result is the same to the last bit for any number.

@@ -40,7 +40,8 @@ Vector<Pose::kDof> Residual(const Factor<Pose>& factor, const Pose& T_world_firs
 template <class Pose>
 Matrix<Pose::kDof, Pose::kDof> SquareRootInformation(const Factor<Pose>& factor);
 
-// The same with the factor's SquareRootInformation, for those who linearise it again and again.
+// The same with the factor's SquareRootInformation or a multiple of it (W is taken to be upper triangular), for those
+// who linearise it again and again.
 template <class Pose>
 LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, const Matrix<Pose::kDof, Pose::kDof>& W, int first,
                                    int second, const Pose& T_world_first, const Pose& T_world_second);

@@ -22,6 +22,11 @@ struct DenseKernels {
   // x (pivots, then separators, rows - 1 in all): the pivots' part of L' x = y, y in the panel's last row.
   void (*back_substitute)(const double* panel, int rows, int pivots, double* x);
 
+  // What a linear factor adds to the normal equations: H_first = A'A, b_first = -A'r and, unless B is null, H_second =
+  // B'B, H_cross = B'A and b_second = -B'r, all contiguous. Size 3 or 6.
+  void (*normal_blocks)(const double* a, const double* b, const double* r, int size, double* H_first, double* H_second,
+                        double* H_cross, double* b_first, double* b_second);
+
   // For covariances. Several right-hand sides side by side: x row-major with `stride` columns, a multiple of kLanes.
   //
   // C (rows x columns) += A B', A rows x depth, B columns x depth.

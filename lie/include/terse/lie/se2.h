@@ -1,10 +1,13 @@
 #pragma once
-// SE(2): rigid motions in the plane, stored as [x y theta], theta in (-pi, pi] radians.
+// SE(2): rigid motions in the plane, stored as [x y theta], theta in (-pi, pi] radians, with its cosine and sine, which
+// every use would compute again.
 //
 // Exp, Log, adjoint and Jacobians are those of the group, tangent [rho_x rho_y phi].
 // The optimiser uses the chart of the 2D papers and files instead: Retract(d) = T * SE2(d[0], d[1], d[2]) and
 // Local = the [x y theta] of T^-1 * other. Both charts have the same first derivative at zero, so the
 // covariances are the same; the second makes a Gauss-Newton step equal to one in global x, y, theta.
+
+#include <cmath>
 
 #include "terse/lie/types.h"
 
@@ -22,8 +25,9 @@ class SE2 {
   using Jacobian = Matrix<3, 3>;
 
   SE2() = default;
-  SE2(double x, double y, double theta) : translation_(x, y), theta_(WrapAngle(theta)) {}
-  SE2(const Position& translation, double theta) : SE2(translation.x(), translation.y(), theta) {}
+  SE2(double x, double y, double theta) : SE2(Position(x, y), theta) {}
+  SE2(const Position& translation, double theta)
+      : translation_(translation), theta_(WrapAngle(theta)), cosine_(std::cos(theta_)), sine_(std::sin(theta_)) {}
 
   static SE2 Exp(const Tangent& d);
   Tangent Log() const;
@@ -44,7 +48,7 @@ class SE2 {
   static Jacobian RightJacobian(const Tangent& d) { return LeftJacobian(-d); }
   static Jacobian RightJacobianInverse(const Tangent& d) { return LeftJacobianInverse(-d); }
 
-  SE2 Retract(const Tangent& d) const { return *this * SE2(d[0], d[1], d[2]); }
+  SE2 Retract(const Tangent& d) const { return SE2(translation_ + Rotation() * d.head<2>(), theta_ + d[2]); }
   Tangent Local(const SE2& other) const {
     const Position p = Rotation().transpose() * (other.translation_ - translation_);
     return Tangent(p.x(), p.y(), WrapAngle(other.theta_ - theta_));
@@ -52,16 +56,20 @@ class SE2 {
   // d [x y theta](E) / d e for E <- E * SE2(e), at [x y theta](E) = r.
   static Jacobian LocalJacobian(const Tangent& r);
 
-  Matrix<2, 2> Rotation() const;
+  Matrix<2, 2> Rotation() const {
+    Matrix<2, 2> R;
+    R << cosine_, -sine_, sine_, cosine_;
+    return R;
+  }
   const Position& Translation() const { return translation_; }
   double Theta() const { return theta_; }
   // |theta|, in [0, pi] radians.
   double Angle() const { return theta_ < 0 ? -theta_ : theta_; }
-  void Normalize() { theta_ = WrapAngle(theta_); }
+  void Normalize() {}  // it is
 
  private:
   Position translation_ = Position::Zero();
-  double theta_ = 0;
+  double theta_ = 0, cosine_ = 1, sine_ = 0;
 };
 
 }  // namespace terse

@@ -27,9 +27,15 @@ class SE3 {
     return SE3(rotation_ * other.rotation_, translation_ + rotation_ * other.translation_);
   }
   Position operator*(const Position& p) const { return rotation_ * p + translation_; }
-  SE3 Inverse() const;
+  SE3 Inverse() const {
+    const SO3 inverse = rotation_.Inverse();
+    return SE3(inverse, -(inverse * translation_));
+  }
   // Inverse() * other.
-  SE3 Between(const SE3& other) const { return Inverse() * other; }
+  SE3 Between(const SE3& other) const {
+    const SO3 inverse = rotation_.Inverse();
+    return SE3(inverse * other.rotation_, inverse * (other.translation_ - translation_));
+  }
   // Exp(Adjoint() d) = T Exp(d) T^-1.
   Jacobian Adjoint() const;
 
@@ -40,7 +46,7 @@ class SE3 {
 
   // The chart in which the optimiser moves a pose and measures a residual: T Exp(d), and its inverse.
   SE3 Retract(const Tangent& d) const { return *this * Exp(d); }
-  Tangent Local(const SE3& other) const { return (Inverse() * other).Log(); }
+  Tangent Local(const SE3& other) const { return Between(other).Log(); }
   // d Local(E) / d e for E <- E Exp(e), at the residual r = E's chart coordinates.
   static Jacobian LocalJacobian(const Tangent& r) { return RightJacobianInverse(r); }
 

@@ -25,7 +25,11 @@ class SO3 {
   Tangent Log() const;
 
   SO3 operator*(const SO3& other) const { return SO3(q_ * other.q_); }
-  Vector<3> operator*(const Vector<3>& p) const;
+  Vector<3> operator*(const Vector<3>& p) const {
+    const Vector<3> u = q_.vec();
+    const Vector<3> t = 2 * u.cross(p);
+    return p + q_.w() * t + u.cross(t);
+  }
   SO3 Inverse() const { return SO3(q_.conjugate()); }
   Matrix<3, 3> Rotation() const { return q_.toRotationMatrix(); }
   Jacobian Adjoint() const { return Rotation(); }
@@ -44,6 +48,10 @@ class SO3 {
 };
 
 // [v]_x, so that Hat(v) w = v x w.
-Matrix<3, 3> Hat(const Vector<3>& v);
+inline Matrix<3, 3> Hat(const Vector<3>& v) {
+  Matrix<3, 3> V;
+  V << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
+  return V;
+}
 
 }  // namespace terse
