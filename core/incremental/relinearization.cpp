@@ -23,8 +23,8 @@ constexpr double kRest = 3e-4, kMostShares = 30;
 // Linearisation errors of so many times the share of chi2, or what is tolerated at rest, do not wait for the interval.
 constexpr double kUrgent = 100, kUrgentAtRest = 10;
 // Shares of what is tolerated: from which on a pose's factors are looked at, and a neighbour joins those that are
-// relinearised.
-constexpr double kWorthLooking = 0.2, kWorthJoining = 1e-2;
+// relinearised. Where loops are judged by their residuals, errors are looked for that would not matter otherwise.
+constexpr double kWorthLooking = 0.1, kWorthLookingToJudge = 1e-2, kWorthJoining = 1e-2;
 
 // What does not fit into the budget moves at the latest after so many steps, whatever it takes.
 constexpr long kMostSteps = 10;
@@ -49,15 +49,23 @@ void WarnOfRefusal(size_t points, const LinearizedGraph<Pose>& map, const Increm
       " new linearisation points, the old ones stay");
 }
 
+bool JudgesLoops(const IncrementalOptions& options) { return options.robust.kernel != RobustKernel::kNone; }
+
 // Errors that add up to E move no pose by more than sqrt(E) of its standard deviations: d' S^-1 d <= |A d|^2 <= E.
 // Where chi2 is far below what the information promises, its share would never let the map rest: there the share of
 // what was promised is tolerated, but no more than kRest, nor than so many shares of chi2, for the information may
-// promise too little.
+// promise too little. Loops are not judged by a map at rest.
 template <class Pose>
 double Tolerated(const LinearizedGraph<Pose>& map, const IncrementalOptions& options) {
   const double share = options.relinearize_tolerance * map.CostUnit();
+  if (JudgesLoops(options)) return share;
   const double promised = options.relinearize_tolerance * map.DegreesOfFreedom();
   return std::max(share, std::min({kRest, promised, kMostShares * share}));
+}
+
+template <class Pose>
+double WorthLooking(const LinearizedGraph<Pose>& map, const IncrementalOptions& options) {
+  return (JudgesLoops(options) ? kWorthLookingToJudge : kWorthLooking) * Tolerated(map, options);
 }
 
 template <class Pose>
@@ -133,7 +141,7 @@ double Relinearization<Pose>::PossibleError(int variable, const Map& map) const 
 template <class Pose>
 void Relinearization<Pose>::NoteMoved(const std::vector<int>& moved, const Map& map,
                                       const IncrementalOptions& options) {
-  const double worth = kWorthLooking * Tolerated(map, options);
+  const double worth = WorthLooking(map, options);
   for (const int v : moved) {
     const double possible = PossibleError(v, map);
     double& known = At(v).possible;  // 0: not listed
@@ -153,7 +161,7 @@ void Relinearization<Pose>::NoteNew(bool gate_open, Map& map, const IncrementalO
   for (const int slot : slots) {
     const double error = LinearizationError(slot, map);
     SetError(slot, error, Suspicious(map, options));
-    if (!gate_open || !(error > kWorthLooking * Tolerated(map, options))) continue;
+    if (!gate_open || !(error > WorthLooking(map, options))) continue;
     const int v = map.Cholesky().LinearFactorAt(slot).first;
     if (At(v).possible == 0) moved_.push_back(v);
     At(v).possible += error;

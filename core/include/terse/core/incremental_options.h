@@ -63,8 +63,9 @@ struct IncrementalOptions {
 
   // kOffset: factors are relinearised, those with the largest error first, when their linearisation errors
   // |r(estimate) - (r + A d)|^2 (whitened) add up to more than this share of chi2, until they add up to half of it.
-  // Where chi2 is far below the degrees of freedom, their share is tolerated, up to 0.0003, which moves no pose by more
-  // than 0.02 standard deviations, and 30 shares of chi2. Errors of poses that can hardly matter are not looked for.
+  // Without a robust kernel, where chi2 is far below the degrees of freedom, their share is tolerated, up to 0.0003,
+  // which moves no pose by more than 0.02 standard deviations, and 30 shares of chi2; and errors of poses that can
+  // hardly matter are not looked for.
   double relinearize_tolerance = 1e-6;
   // Only poses whose d exceeds either are looked at.
   double relinearize_metres = 0;
