@@ -237,6 +237,20 @@ TEST(PublicDataTest, IncrementalStaysNearTheOptimumOnSphere2500) {
   CompareAlongTheWay<SE3>(file);
 }
 
+// At step 1662 a loop comes in on a pose that is 0.16 rad from its linearisation point: what linearising it there costs
+// is seen in that step, not only when the interval comes round.
+TEST(PublicDataTest, ALoopOntoPosesFarFromTheirPointsIsSeenAtOnce) {
+  TERSE_NEEDS(file, "graphs/2d/manhattan.g2o");
+  IncrementalSolver<SE2> solver;
+  double worst = 0;
+  Replay<SE2>(Load<SE2>(file), {}, solver, [&](const ReplayStep& step) {
+    if (step.index >= 1660)
+      worst = std::max(worst, solver.Chi2() / SolveBatch(solver.Graph(), solver.Estimates()).chi2);
+    return step.index < 1666;
+  });
+  EXPECT_LT(worst, 1.01);
+}
+
 // Few poses, few links, with thresholds from a sample of the set, as the command does it.
 template <class Pose>
 void RunFewPosesFewLinks(const PoseGraph<Pose>& graph, const std::string& path, Strategy strategy) {

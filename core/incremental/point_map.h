@@ -37,7 +37,9 @@ class PointMap {
  private:
   // Where the variable is, or would be: the first of its cells that is its own or empty.
   std::size_t Cell(int variable) const {
-    std::size_t cell = static_cast<std::uint32_t>(variable) * std::size_t{0x9E3779B1} & (places_.size() - 1);
+    // Fibonacci hashing (Knuth, TAOCP 6.4), so that variables at equal distances do not meet.
+    const std::uint64_t hash = static_cast<std::uint32_t>(variable) * std::uint64_t{0x9E3779B97F4A7C15} >> 32;
+    std::size_t cell = hash & (places_.size() - 1);
     while (places_[cell] >= 0 && points_[At(places_[cell])].first != variable) cell = (cell + 1) & (places_.size() - 1);
     return cell;
   }

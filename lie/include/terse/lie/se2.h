@@ -65,7 +65,7 @@ class SE2 {
   double Theta() const { return theta_; }
   // |theta|, in [0, pi] radians.
   double Angle() const { return theta_ < 0 ? -theta_ : theta_; }
-  void Normalize() {}  // it is
+  void Normalize() {}  // the angle always is
 
  private:
   Position translation_ = Position::Zero();
