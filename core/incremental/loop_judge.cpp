@@ -253,7 +253,7 @@ bool LoopJudge<Pose>::AdmitLoops(Loops loops, StepContext<Pose>& step) {
       Park(block[k].id, block[k].residual.squaredNorm());
       if (contest.size() > 1) changed = Judge(contest, camps, step);
       if (step.options.carry == Carry::kPoint) continue;
-      changed = changed || AdmitSlip(block[k].id, step) || AdmitLocalSlip(block[k].id, step);
+      changed = changed || AdmitSlip(block[k].id, step) || AdmitLocalSlip(contest[0], step);
     }
   }
   return changed;

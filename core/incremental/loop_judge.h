@@ -115,7 +115,7 @@ class LoopJudge {
   bool TakeSlip(const Slip<Pose>& slip, StepContext<Pose>& step);
   bool TakeIfVerified(Slip<Pose> suspected, StepContext<Pose>& step);
   bool AdmitSlip(FactorId newcomer, StepContext<Pose>& step);
-  bool AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step);
+  bool AdmitLocalSlip(Loop newcomer, StepContext<Pose>& step);
   std::pair<std::size_t, std::size_t> ParkedAround(FactorId id) const;  // positions: the first, behind the last
   std::vector<int> GroupOf(int slot, const Map& map) const;
   Camps AddContestants(Loops& contest, const Map& map) const;

@@ -16,6 +16,8 @@ using std::size_t;
 // chi2 it may have if other loops hold what it holds.
 constexpr int kReachOfSlip = 2;
 constexpr double kMostLocalLeverage = 100;
+// What a loop's innovation is without odometry that it rightly contradicts, in limits, at most.
+constexpr double kNearOthers = 4;
 // By so many loops it has to be the cheaper explanation: two wrong ones at the end of a trajectory can be one as well.
 constexpr double kLeastGainOfSlip = 1.25;
 // Loops, and odometry, that are looked at together.
@@ -66,15 +68,14 @@ bool LoopJudge<Pose>::TakeSlip(const Slip<Pose>& slip, StepContext<Pose>& step) 
 // kGnc: the same where the poses on both sides are held by other loops: those that contradict the odometry there are
 // few, and what they have in common is a pose that lies wrong.
 template <class Pose>
-bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step) {
+bool LoopJudge<Pose>::AdmitLocalSlip(Loop newcomer, StepContext<Pose>& step) {
   const Map& map = step.map;
-  const Loop loop(newcomer, map);
   std::set<int> starts;  // of odometry at one of its ends
-  for (const int v : {loop.linear.first, loop.linear.second}) starts.insert({v - 1, v});
+  for (const int v : {newcomer.linear.first, newcomer.linear.second}) starts.insert({v - 1, v});
   std::vector<Loop> others;
-  const auto [first, last] = ParkedAround(newcomer);
+  const auto [first, last] = ParkedAround(newcomer.id);
   for (size_t k = first; k < last; ++k) {
-    if (parked_[k].id == newcomer) continue;
+    if (parked_[k].id == newcomer.id) continue;
     const FactorPoses ends = PosesOf(map.Graph().FindFactor(parked_[k].id)->factor);
     const auto touches = [&](PoseId id) {
       const int v = map.Graph().IndexOf(id);
@@ -82,17 +83,22 @@ bool LoopJudge<Pose>::AdmitLocalSlip(FactorId newcomer, StepContext<Pose>& step)
     };
     if (touches(ends.first) || touches(ends.second)) others.emplace_back(parked_[k].id, map);
   }
-  double at_stake = PriceOf(newcomer);
+  double at_stake = PriceOf(newcomer.id);
   for (const Loop& other : others) at_stake += PriceOf(other.id);
   if (at_stake <= kSlipPrice * limit_) return false;
   if (others.size() > kMostLoops) others.erase(others.begin(), others.end() - static_cast<long>(kMostLoops));
-  const std::vector<FactorId> in_map = LoopsIn(map);
+  const auto is_loop = [&](int slot) { return At(slot).is_loop != 0; };
   double lowest = -kLeastGainOfSlip * limit_;
   Slip<Pose> slip;
   for (const int v : starts) {
-    const int slot = OdometrySlot(v, in_map, map);
-    if (slot < 0 || PlacesAcross(v, in_map, map) < kLeastPlaces) continue;
-    Loops contest = {Loop(map.IdAt(slot), map), loop};
+    const int slot = OdometrySlot(v, is_loop, map);
+    if (slot < 0) continue;
+    Loops contest = {Loop(map.IdAt(slot), map), newcomer};
+    // Without the odometry the newcomer is near what others say, or else it contradicts them as well.
+    Contest<B> pair = ContestOf(contest, map);
+    newcomer.z = contest[1].z;
+    if (pair.Leverage(0) <= kMostLocalLeverage && pair.Flip(0) && pair.Innovation(1) > kNearOthers * limit_) continue;
+    if (PlacesAcross(v, LoopsIn(map), map) < kLeastPlaces) continue;
     contest.insert(contest.end(), others.begin(), others.end());
     Contest<B> without = ContestOf(contest, map);
     for (size_t k = 2; k < contest.size(); ++k) others[k - 2].z = contest[k].z;
@@ -180,7 +186,7 @@ bool LoopJudge<Pose>::ReviewAllOdometry(StepContext<Pose>& step) {
   template bool LoopJudge<Pose>::AdmitSlip(FactorId, StepContext<Pose>&);                     \
   template bool LoopJudge<Pose>::TakeSlip(const Slip<Pose>&, StepContext<Pose>&);             \
   template bool LoopJudge<Pose>::TakeIfVerified(Slip<Pose>, StepContext<Pose>&);              \
-  template bool LoopJudge<Pose>::AdmitLocalSlip(FactorId, StepContext<Pose>&);                \
+  template bool LoopJudge<Pose>::AdmitLocalSlip(JudgedLoop<Pose>, StepContext<Pose>&);        \
   template bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>&, StepContext<Pose>&); \
   template bool LoopJudge<Pose>::ReviewAllOdometry(StepContext<Pose>&);
 TERSE_INSTANTIATE(SE2)

@@ -164,6 +164,7 @@ class Search {
   // The odometry edge that the fewest loops defend; of these the one that would have to be the least wrong.
   std::optional<Slip<Pose>> Blame() const {
     const std::vector<FactorId> in = loops_.in();
+    const auto is_in = [&](int slot) { return std::binary_search(in.begin(), in.end(), map_.IdAt(slot)); };
     std::vector<Span<Pose>> defending;
     std::vector<int> defenders(At(last_ - first_ + 1));
     for (const FactorId id : in) {
@@ -179,7 +180,7 @@ class Search {
     for (int v = first_; v < last_; ++v) {
       open += defenders[At(v - first_)];
       if (open > fewest) continue;
-      const int slot = OdometrySlot(v, in, map_);
+      const int slot = OdometrySlot(v, is_in, map_);
       if (slot < 0) continue;
       const FactorId odometry = map_.IdAt(slot);
       const double wrong = Chi2(odometry, map_.EstimateAt(v), correction_ * map_.EstimateAt(v + 1));
@@ -318,12 +319,12 @@ std::optional<Slip<Pose>> VerifySlip(const Slip<Pose>& slip, const KnownLoops& l
 }
 
 template <class Pose>
-int OdometrySlot(int v, const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map) {
+int OdometrySlot(int v, const std::function<bool(int slot)>& is_loop, const LinearizedGraph<Pose>& map) {
   if (v < 0 || v + 1 >= map.Cholesky().Variables()) return -1;
   for (const int slot : map.Cholesky().SlotsOf(v)) {
     const auto& f = map.Cholesky().LinearFactorAt(slot);
     const bool is_step = std::min(f.first, f.second) == v && std::max(f.first, f.second) == v + 1;
-    if (is_step && !std::binary_search(loops.begin(), loops.end(), map.IdAt(slot))) return slot;
+    if (is_step && !is_loop(slot)) return slot;
   }
   return -1;
 }
@@ -348,7 +349,7 @@ int PlacesAcross(int v, const std::vector<FactorId>& loops, const LinearizedGrap
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                         \
-  template int OdometrySlot(int, const std::vector<FactorId>&, const LinearizedGraph<Pose>&);           \
+  template int OdometrySlot(int, const std::function<bool(int)>&, const LinearizedGraph<Pose>&);        \
   template int CountPlaces(const std::vector<FactorId>&, const LinearizedGraph<Pose>&);                 \
   template int PlacesAcross(int, const std::vector<FactorId>&, const LinearizedGraph<Pose>&);           \
   template std::optional<Slip<Pose>> FindSlip(const KnownLoops&, double, const LinearizedGraph<Pose>&); \

@@ -44,9 +44,9 @@ template <class Pose>
 std::optional<Slip<Pose>> VerifySlip(const Slip<Pose>& slip, const KnownLoops& loops, double width,
                                      const LinearizedGraph<Pose>& map);
 
-// The slot by which pose v + 1 follows pose v and that is none of these loops, ascending; -1: there is none.
+// The slot by which pose v + 1 follows pose v and that is no loop; -1: there is none.
 template <class Pose>
-int OdometrySlot(int v, const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map);
+int OdometrySlot(int v, const std::function<bool(int slot)>& is_loop, const LinearizedGraph<Pose>& map);
 // From how many places loops are, kLeastPlaces at most.
 template <class Pose>
 int CountPlaces(const std::vector<FactorId>& loops, const LinearizedGraph<Pose>& map);
