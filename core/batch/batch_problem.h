@@ -61,12 +61,41 @@ class Problem {
 
   // In the order of Everything() on an empty factor: slots 0, 1, ..., the anchor last.
   std::vector<LinearFactor<B>> LinearizeTerms(const std::vector<Pose>& values) const {
-    std::vector<LinearFactor<B>> out(present_.size() + 1);
+    std::vector<LinearFactor<B>> out;
+    double chi2 = 0;
+    LinearizeTerms(values, out, chi2);
+    return out;
+  }
+  // The same, and what Cost says.
+  double LinearizeTerms(const std::vector<Pose>& values, std::vector<LinearFactor<B>>& out, double& chi2) const {
+    struct Sums {
+      double chi2 = 0, cost = 0;
+    };
+    std::vector<Sums> sums((present_.size() + kChunk - 1) / kChunk);
+    out.resize(present_.size() + 1);
     out.back() = Anchor(gauge_);
     SpreadChunks(threads_, present_.size(), kChunk, [&](std::size_t begin, std::size_t end) {
-      for (std::size_t k = begin; k < end; ++k) out[k] = LinearizeTerm(present_[k], values);
+      Sums& sum = sums[begin / kChunk];
+      for (std::size_t k = begin; k < end; ++k) {
+        const std::size_t term = present_[k];
+        out[k] = LinearizeTerm(term, values);
+        const double s = out[k].residual.squaredNorm();
+        if (term < counted_) sum.chi2 += s;
+        sum.cost += TermCost(term, s);
+        Weigh(term, s, out[k]);
+      }
     });
-    return out;
+    double cost = chi2 = 0;
+    for (const Sums& sum : sums) chi2 += sum.chi2, cost += sum.cost;
+    // Those without weight are in no factor.
+    for (std::size_t term = 0, k = 0; term < counted_ && present_.size() < terms_.size(); ++term) {
+      if (k < present_.size() && present_[k] == term) {
+        ++k;
+      } else {
+        chi2 += TermChi2(term, values);
+      }
+    }
+    return cost;
   }
 
   // chi2 of the measurements, and what the fixed poses' priors add; robust factors with their kernel.
@@ -168,7 +197,7 @@ class Problem {
     return held_.empty() ? RobustWeight(kernel_, s, width_) : held_[k];
   }
   double TermCost(std::size_t k, double s) const {
-    if (!is_robust_[k]) return s;
+    if (!IsRobust() || k >= counted_ || !is_robust_[k]) return s;
     return held_.empty() ? terse::RobustCost(kernel_, s, width_) : held_[k] * s;
   }
   // Of terms [first, last): chunk by chunk, so that the number of threads does not change the sum.
@@ -184,16 +213,18 @@ class Problem {
     });
     return std::accumulate(sums.begin(), sums.end(), 0.0);
   }
+  // Without a kernel's weight.
   LinearFactor<B> LinearizeTerm(std::size_t k, const std::vector<Pose>& values) const {
     const Term& t = terms_[k];
-    LinearFactor<B> out = Linearize(*t.factor, t.W, t.first, t.second, values[static_cast<std::size_t>(t.first)],
-                                    values[static_cast<std::size_t>(t.second)]);
-    if (!IsRobust()) return out;
-    const double root = std::sqrt(TermWeight(k, out.residual.squaredNorm()));
-    out.A_first *= root;
-    out.A_second *= root;
-    out.residual *= root;
-    return out;
+    return Linearize(*t.factor, t.W, t.first, t.second, values[static_cast<std::size_t>(t.first)],
+                     values[static_cast<std::size_t>(t.second)]);
+  }
+  void Weigh(std::size_t k, double s, LinearFactor<B>& f) const {
+    if (!IsRobust()) return;
+    const double root = std::sqrt(TermWeight(k, s));
+    f.A_first *= root;
+    f.A_second *= root;
+    f.residual *= root;
   }
 
   const PoseGraph<Pose>& graph_;

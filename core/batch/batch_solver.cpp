@@ -140,7 +140,7 @@ class Run {
     const int changed = problem_.HoldWeights(result_.T_world_body, mu);
     Log(options_.log, LogLevel::kDebug, "batch: robust stage mu ", mu, ": ", changed, " weights changed");
     cost_ = problem_.Cost(result_.T_world_body, result_.chi2);
-    linearised_here_ = factored_here_ = false;
+    ForgetLinearisation();
     climbing_ = 0;
     damping_control_ = Damping();
     if (problem_.IsOutdated()) {
@@ -179,7 +179,7 @@ class Run {
     if (found.root == problem_.CurrentGauge().root) return;
     const Gauge<Pose> before = problem_.CurrentGauge();
     problem_.SetGauge(found);
-    linearised_here_ = factored_here_ = false;
+    ForgetLinearisation();
     const bool lets_go = found.free_shifts < before.free_shifts || found.free_turns < before.free_turns;
     if (!lets_go || !result_.Converged() || result_.iterations >= options_.max_iterations) return;
     Log(options_.log, LogLevel::kInfo, "batch: the priors determine more of the frame than at the start, going on");
@@ -207,8 +207,11 @@ class Run {
   bool RefactorAt(double lambda) {
     if (!linearised_here_) {
       ScopedTimer timer(result_.seconds.linearise);
-      result_.cholesky.SetLinearFactors(problem_.LinearizeTerms(result_.T_world_body));
+      double chi2 = 0;
+      if (!next_is_here_) problem_.LinearizeTerms(result_.T_world_body, next_, chi2);
+      result_.cholesky.ExchangeLinearFactors(next_);
       linearised_here_ = true;
+      next_is_here_ = false;
     }
     ScopedTimer timer(result_.seconds.factor);
     damping_.clear();
@@ -236,7 +239,12 @@ class Run {
     double predicted = result_.cholesky.NewtonDecrement();
     for (size_t i = 0; i < damping_.size(); ++i) predicted += damping_[i] * d[i] * d[i];
     State trial{Step(result_.T_world_body, d, options_.threads)};
-    trial.cost = problem_.Cost(trial.values, trial.chi2);
+    {
+      // A trial is nearly always where the next step sets off.
+      ScopedTimer timer(result_.seconds.linearise);
+      trial.cost = problem_.LinearizeTerms(trial.values, next_, trial.chi2);
+      trial.is_next = true;
+    }
     const double decrease = cost_ - trial.cost;
     // chi2 has no unit: below the constant it is rounding.
     const double tolerance = tolerance_ * cost_ + 1e-16;
@@ -267,14 +275,17 @@ class Run {
   struct State {
     std::vector<Pose> values;
     double chi2 = 0, cost = 0;
+    bool is_next = false;  // next_ is its linearisation
   };
 
   void Accept(State state) {
     result_.T_world_body = std::move(state.values);
     result_.chi2 = state.chi2;
     cost_ = state.cost;
-    factored_here_ = linearised_here_ = false;
+    ForgetLinearisation();
+    next_is_here_ = state.is_next;
   }
+  void ForgetLinearisation() { linearised_here_ = factored_here_ = next_is_here_ = false; }
 
   // Stiff odometry makes curved valleys, which a solver that only descends crawls along. Full steps may therefore
   // climb for a few iterations; if they do not come out below where they set off, damping takes over from there.
@@ -316,8 +327,10 @@ class Run {
   std::optional<State> best_;  // where full steps began to climb
   int climbing_ = 0;
   bool done_ = false, singular_ = false;
-  bool linearised_here_ = true;  // the factor's linear factors are those of the current values
-  bool factored_here_ = true;    // and it is factored without damping
+  bool linearised_here_ = true;        // the factor's linear factors are those of the current values
+  bool factored_here_ = true;          // and it is factored without damping
+  std::vector<LinearFactor<B>> next_;  // of a trial
+  bool next_is_here_ = false;          // that became the current values
 };
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include "batch/chordal_problem.h"
 #include "terse/core/block_cholesky.h"
 #include "terse/core/error.h"
+#include "terse/core/front_paths.h"
 #include "terse/core/gauge.h"
 
 namespace terse::internal {
@@ -56,7 +57,8 @@ class MeasurementsOf {
 template <int D>
 class LeastSquares {
  public:
-  LeastSquares(std::size_t poses, int columns, const StartOptions& options) : poses_(poses), columns_(columns) {
+  LeastSquares(std::size_t poses, int columns, const StartOptions& options)
+      : poses_(poses), columns_(columns), X_(3 * poses * At(Stride(columns)), 0.0) {
     factor_.SetThreads(options.threads);
     factor_.DropUpdateMatrices();
     factor_.SetProgress(options.factor_progress);
@@ -72,8 +74,8 @@ class LeastSquares {
     LinearFactor<3> f;
     f.first = i;
     f.A_first.template topLeftCorner<D, D>() = A_i;
-    if (!R.isZero(0)) right_.emplace_back(factors_.size(), R);
     factors_.push_back(f);
+    RightSide(i) -= A_i.transpose() * R;
   }
   void Add(int i, const Block<D>& A_i, int j, const Block<D>& A_j, const Columns<D>& R) {
     if (i == pinned_) return Add(j, A_j, R + A_i * pinned_value_);
@@ -81,6 +83,7 @@ class LeastSquares {
     Add(i, A_i, R);
     factors_.back().second = j;
     factors_.back().A_second.template topLeftCorner<D, D>() = A_j;
+    RightSide(j) -= A_j.transpose() * R;
   }
 
   std::vector<Columns<D>> Solve() {
@@ -89,18 +92,24 @@ class LeastSquares {
       Add(pose, Block<D>::Identity(), -pinned_value_);
     }
     if (D < 3) HoldThird();
-    std::vector<Columns<D>> X(poses_, Columns<D>(D, columns_));
-    for (int column = 0; column < columns_; ++column) {
-      for (const auto& [k, R] : right_) factors_[k].residual.template head<D>() = R.col(column);
-      if (!Factorise(column)) throw NumericalError("chordal initial values: the linear system is singular");
-      factor_.Solve();
-      const double* x = factor_.Solution().data();
-      for (std::size_t k = 0; k < poses_; ++k) X[k].col(column) = Eigen::Map<const Point<D>>(x + 3 * k);
+    BlockCholesky<3>::Changes everything;
+    everything.new_variables = static_cast<int>(poses_);
+    everything.added = std::move(factors_);
+    if (!factor_.Update(std::move(everything)).ok) {
+      throw NumericalError("chordal initial values: the linear system is singular");
     }
+    SolveDense(factor_.Tree(), X_, Stride(columns_));
+    std::vector<Columns<D>> X;
+    X.reserve(poses_);
+    for (std::size_t k = 0; k < poses_; ++k) X.push_back(RightSide(static_cast<int>(k)));
     return X;
   }
 
  private:
+  using Rows = Eigen::Map<Eigen::Matrix<double, D, Eigen::Dynamic, Eigen::RowMajor>, 0, Eigen::OuterStride<>>;
+  Rows RightSide(int pose) {
+    return {X_.data() + 3 * At(pose) * At(Stride(columns_)), D, columns_, Eigen::OuterStride<>(Stride(columns_))};
+  }
   void HoldThird() {
     for (std::size_t k = 0; k < poses_; ++k) {
       LinearFactor<3> f;
@@ -110,26 +119,11 @@ class LeastSquares {
     }
   }
 
-  bool Factorise(int column) {
-    if (column > 0) {
-      factor_.SetLinearFactors(factors_);
-      return factor_.Refactor();
-    }
-    BlockCholesky<3>::Changes everything;
-    everything.new_variables = static_cast<int>(poses_);
-    if (columns_ > 1) {
-      everything.added = factors_;
-    } else {
-      everything.added = std::move(factors_);
-    }
-    return factor_.Update(everything).ok;
-  }
-
   std::size_t poses_;
   int columns_;
   BlockCholesky<3> factor_;
   std::vector<LinearFactor<3>> factors_;
-  std::vector<std::pair<std::size_t, Columns<D>>> right_;  // of those factors that have one
+  std::vector<double> X_;  // the right sides, then what solves them: three rows per pose, as many columns side by side
   int pinned_ = -1;
   Columns<D> pinned_value_;
 };

@@ -106,6 +106,11 @@ void BlockCholesky<B>::SetLinearFactors(const std::vector<LinearFactor<B>>& fact
 }
 
 template <int B>
+void BlockCholesky<B>::ExchangeLinearFactors(std::vector<LinearFactor<B>>& factors) {
+  system_.ExchangeLinearFactors(factors, parts_->numbers.Threads());
+}
+
+template <int B>
 bool BlockCholesky<B>::Refactor(const std::vector<double>& damping) {
   version_ = internal::NextVersion();
   system_.ForgetChanges();

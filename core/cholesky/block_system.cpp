@@ -194,6 +194,8 @@ void BlockSystem<B>::Apply(const Changes& changes, Replaced replaced, Undo& undo
   undo.removed.reserve(changes.removed.size());
   // Neither committing nor taking back allocates.
   internal::ReserveMore(free_slots_, changes.added.size() + changes.removed.size());
+  internal::ReserveMore(factors_, changes.added.size());
+  internal::ReserveMore(normals_, changes.added.size());
   const size_t total = slots_of_.size() + At(changes.new_variables);
   slots_of_.resize(total);
   diagonal_.resize(total, Vector<B>::Zero());
@@ -303,15 +305,35 @@ std::vector<double> BlockSystem<B>::Diagonal() const {
 }
 
 template <int B>
-void BlockSystem<B>::SetLinearFactors(const std::vector<LinearFactor<B>>& factors, int threads) {
+void BlockSystem<B>::RequireSameVariables(const std::vector<LinearFactor<B>>& factors) const {
   if (factors.size() > factors_.size()) throw std::invalid_argument("no such factor slot");
   for (size_t k = 0; k < factors.size(); ++k) {
     if (factors_[k].first != factors[k].first || factors_[k].second != factors[k].second) {
       throw std::invalid_argument("a factor may not change its variables");
     }
   }
-  internal::SpreadChunks(threads, factors.size(), kChunk, [&](size_t begin, size_t end) {
-    for (size_t k = begin; k < end; ++k) SetSlot(static_cast<int>(k), factors[k]);
+}
+
+template <int B>
+void BlockSystem<B>::SetLinearFactors(const std::vector<LinearFactor<B>>& factors, int threads) {
+  RequireSameVariables(factors);
+  std::copy(factors.begin(), factors.end(), factors_.begin());
+  RenewNormals(factors.size(), threads);
+}
+
+template <int B>
+void BlockSystem<B>::ExchangeLinearFactors(std::vector<LinearFactor<B>>& factors, int threads) {
+  if (factors.size() != factors_.size()) throw std::invalid_argument("one linear factor per slot is needed");
+  RequireSameVariables(factors);
+  factors_.swap(factors);
+  RenewNormals(factors_.size(), threads);
+}
+
+// Of the first `slots`, after their linear factors.
+template <int B>
+void BlockSystem<B>::RenewNormals(size_t slots, int threads) {
+  internal::SpreadChunks(threads, slots, kChunk, [&](size_t begin, size_t end) {
+    for (size_t k = begin; k < end; ++k) SetNormal(factors_[k], normals_[k]);
   });
   internal::SpreadChunks(threads, slots_of_.size(), kChunk, [&](size_t begin, size_t end) {
     for (size_t v = begin; v < end; ++v) {

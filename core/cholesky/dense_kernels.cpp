@@ -10,10 +10,13 @@ namespace terse::internal {
   int FactorPanel(double* panel, int ld, int rows, int pivots);                                                      \
   void SubtractProduct(double* c, int ldc, const double* a, const double* b, int ld, int rows, int columns,          \
                        int depth);                                                                                   \
+  void SetNegativeSquare(double* c, int ldc, const double* a, int ld, int rows, int columns, int depth);             \
   void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);                     \
   void BackSubstitute(const double* panel, int rows, int pivots, double* x);                                         \
   void NormalBlocks(const double* a, const double* b, const double* r, int size, double* H_first, double* H_second,  \
                     double* H_cross, double* b_first, double* b_second);                                             \
+  void ExtendAdd(double* to, int ldt, const double* from, int ldf, const int* at, const int* run_end, int first,     \
+                 int last, int blocks, int rhs, int size);                                                           \
   void AddRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,   \
                     int depth);                                                                                      \
   void SetRectangle(double* c, int ldc, const double* a, int lda, const double* b, int ldb, int rows, int columns,   \
@@ -24,10 +27,10 @@ namespace terse::internal {
                     int width);                                                                                      \
   void TransformRows(double* y, int stride, const double* t, int rows, int depth);                                   \
   void SubtractCongruences(double* s, const double* y, int stride, const double* m, int count, int size, int depth); \
-  constexpr DenseKernels kKernels = {                                                                                \
-      #set,         FactorPanel,   SubtractProduct,    RankUpdate,        BackSubstitute,                            \
-      NormalBlocks, AddRectangle,  SetRectangle,       SubstituteForward, SubstituteBackward,                        \
-      SubtractRows, TransformRows, SubtractCongruences};                                                             \
+  constexpr DenseKernels kKernels = {#set,         FactorPanel,    SubtractProduct,    SetNegativeSquare,            \
+                                     RankUpdate,   BackSubstitute, NormalBlocks,       ExtendAdd,                    \
+                                     AddRectangle, SetRectangle,   SubstituteForward,  SubstituteBackward,           \
+                                     SubtractRows, TransformRows,  SubtractCongruences};                             \
   }
 TERSE_DECLARE_KERNELS(baseline)
 #ifdef TERSE_X86_KERNELS

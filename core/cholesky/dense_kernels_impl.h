@@ -5,5 +5,6 @@
 // Everything else has internal linkage and nothing from the standard library or Eigen is used: an inline function
 // compiled here for a newer processor must not become the copy that the whole program runs.
 
+#include "cholesky/assembly_kernels.h"
 #include "cholesky/covariance_kernels.h"
 #include "cholesky/factor_kernels.h"

@@ -1,5 +1,5 @@
 #pragma once
-// The dense kernels of normal equations and of the Cholesky factor; part of dense_kernels_impl.h.
+// The dense kernels of the Cholesky factor; part of dense_kernels_impl.h.
 
 #include "cholesky/kernel_tiles.h"
 
@@ -119,44 +119,6 @@ void RankUpdateBlock(double* l, long ld, int rows, int pivots, double* w, long l
   }
 }
 
-// The rows of a square matrix, side by side in lanes; what is beyond them is zero.
-template <int N>
-struct MatrixRows {
-  static constexpr int kPadded = N <= 4 ? 4 : 8;
-  double row[N][kPadded] = {};
-
-  explicit MatrixRows(const double* matrix) {
-    for (int k = 0; k < N; ++k) {
-      for (int i = 0; i < N; ++i) row[k][i] = matrix[i * N + k];
-    }
-  }
-  // sign M' x.
-  void Times(const double* x, double sign, double* out) const {
-    double sum[kPadded] = {};
-    for (int k = 0; k < N; ++k) {
-      for (int i = 0; i < kPadded; ++i) sum[i] += row[k][i] * x[k];
-    }
-    for (int i = 0; i < N; ++i) out[i] = sign * sum[i];
-  }
-  // M' X.
-  void TimesMatrix(const double* x, double* out) const {
-    for (int j = 0; j < N; ++j) Times(x + j * N, 1, out + j * N);
-  }
-};
-
-template <int N>
-void FactorNormalBlocks(const double* a, const double* b, const double* r, double* H_first, double* H_second,
-                        double* H_cross, double* b_first, double* b_second) {
-  const MatrixRows<N> A(a);
-  A.TimesMatrix(a, H_first);
-  A.Times(r, -1, b_first);
-  if (b == nullptr) return;
-  const MatrixRows<N> B(b);
-  B.TimesMatrix(b, H_second);
-  B.TimesMatrix(a, H_cross);
-  B.Times(r, -1, b_second);
-}
-
 }  // namespace
 
 namespace TERSE_KERNEL_NAMESPACE {
@@ -182,14 +144,15 @@ int FactorPanel(double* panel, int leading, int rows, int pivots) {
   return -1;
 }
 
-void NormalBlocks(const double* a, const double* b, const double* r, int size, double* H_first, double* H_second,
-                  double* H_cross, double* b_first, double* b_second) {
-  const auto blocks = size == 6 ? FactorNormalBlocks<6> : FactorNormalBlocks<3>;
-  blocks(a, b, r, H_first, H_second, H_cross, b_first, b_second);
-}
-
 void SubtractProduct(double* c, int ldc, const double* a, const double* b, int ld, int rows, int columns, int depth) {
   SubtractLower(c, ldc, a, b, ld, rows, columns, depth);
+}
+
+void SetNegativeSquare(double* c, int ldc, const double* a, int ld, int rows, int columns, int depth) {
+  const int first = depth < kDepth ? depth : kDepth;
+  Lower<Into::kSetNegative>(c, ldc, a, a, ld, rows, columns, first);
+  const double* rest = a + static_cast<long>(first) * ld;
+  SubtractLower(c, ldc, rest, rest, ld, rows, columns, depth - first);
 }
 
 void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns) {

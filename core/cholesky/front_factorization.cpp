@@ -17,8 +17,9 @@ using std::size_t;
 
 constexpr double kSingular = 4e-15;
 constexpr double kParallelFlops = 2e7;  // from which it pays to wake other threads
-// Update matrices that take less, scalars, are kept in any case: to use their memory again is quicker.
-constexpr double kLeastDropped = 16e6;
+
+// To give away a smaller update matrix, scalars, takes longer than to keep it.
+constexpr size_t kLeastDropped = 128;
 
 // Sum of the squared column counts.
 double FactorFlops(double rows, double pivots) {
@@ -93,12 +94,25 @@ constexpr double kParallelProduct = 1e6;  // multiplications from which a cut pa
 // Pivots at a time in a large panel, so that most of its work is in products.
 constexpr int kPivotBlock = 96;
 
-// Lower trapezoid of C (rows x columns, leading dimension ldc) -= A A', A rows x depth with leading dimension ld.
-void SubtractSquare(double* c, int ldc, const double* a, int ld, int rows, int columns, int depth, bool parallel) {
+// do_block(first column, rows from there on, columns).
+template <class DoBlock>
+void ForEachColumnBlock(int rows, int columns, int depth, bool parallel, const DoBlock& do_block) {
   const bool pays = 1.0 * rows * columns * depth > kParallelProduct;
   ForEachChunk(parallel && pays, At(columns), kColumnBlock, [&](size_t begin, size_t end) {
-    Kernels().subtract_product(c + begin * At(ldc) + begin, ldc, a + begin, a + begin, ld,
-                               rows - static_cast<int>(begin), static_cast<int>(end - begin), depth);
+    do_block(begin, rows - static_cast<int>(begin), static_cast<int>(end - begin));
+  });
+}
+
+// Lower trapezoid of C (rows x columns, leading dimension ldc) = -A A', A rows x depth with leading dimension ld.
+void SetNegativeSquare(double* c, int ldc, const double* a, int ld, int rows, int columns, int depth, bool parallel) {
+  ForEachColumnBlock(rows, columns, depth, parallel, [&](size_t begin, int below, int width) {
+    Kernels().set_negative_square(c + begin * At(ldc) + begin, ldc, a + begin, ld, below, width, depth);
+  });
+}
+// The same, C -= A A'.
+void SubtractSquare(double* c, int ldc, const double* a, int ld, int rows, int columns, int depth, bool parallel) {
+  ForEachColumnBlock(rows, columns, depth, parallel, [&](size_t begin, int below, int width) {
+    Kernels().subtract_product(c + begin * At(ldc) + begin, ldc, a + begin, a + begin, ld, below, width, depth);
   });
 }
 
@@ -134,16 +148,22 @@ class WorkShare {
   std::mutex mutex_;
 };
 
-template <int B>
+// The blocks of a linear factor that `holds` says of by column.
+template <int B, class Holds>
 void AssembleFactor(Front<B>& front, const LinearFactor<B>& f, const typename BlockSystem<B>::Normal& normal,
-                    const std::vector<int>& row_of) {
+                    const std::vector<int>& row_of, const Holds& holds) {
   const int i = row_of[At(f.first)];
-  AddBlock<B>(front, i, i, normal.H_first);
-  AddRightHandSide<B>(front, i, normal.b_first.data(), 1);
+  if (holds(i)) {
+    AddBlock<B>(front, i, i, normal.H_first);
+    AddRightHandSide<B>(front, i, normal.b_first.data(), 1);
+  }
   if (f.second < 0) return;
   const int j = row_of[At(f.second)];
-  AddBlock<B>(front, j, j, normal.H_second);
-  AddRightHandSide<B>(front, j, normal.b_second.data(), 1);
+  if (holds(j)) {
+    AddBlock<B>(front, j, j, normal.H_second);
+    AddRightHandSide<B>(front, j, normal.b_second.data(), 1);
+  }
+  if (!holds(std::min(i, j))) return;
   if (i > j) {
     AddBlock<B>(front, i, j, normal.H_cross.transpose());
   } else {
@@ -151,67 +171,97 @@ void AssembleFactor(Front<B>& front, const LinearFactor<B>& f, const typename Bl
   }
 }
 
-// Extend-add of a child's update matrix. A kept child's separator order may be stale: its ancestors were ordered
-// again since, so a block can land transposed. Separators that stay neighbours are added as one run.
-template <int B>
-void AssembleChild(Front<B>& front, const Front<B>& child, const std::vector<int>& row_of) {
-  const int blocks = child.update_separators;
-  const int n = blocks * B + 1;
-  const auto row = [&](int k) { return row_of[At(child.separators[At(k)])]; };
+// Block by block: a kept child's separator order may be stale, for its ancestors were ordered again since, so that a
+// block can land transposed.
+template <int B, class Holds>
+void AddUnordered(Front<B>& front, const Front<B>& child, const std::vector<int>& at, const Holds& holds) {
+  using Source = Eigen::Map<const Eigen::Matrix<double, B, B>, Eigen::Unaligned, Eigen::OuterStride<>>;
+  const int blocks = child.update_separators, n = child.UpdateRows();
   for (int j = 0; j < blocks; ++j) {
-    const int cj = row(j);
+    const int cj = at[At(j)];
     const double* columns = child.update.data() + At(j * B) * At(n);
-    for (int i = j; i < blocks;) {
-      const int ci = row(i);
+    for (int i = j; i < blocks; ++i) {
+      const int ci = at[At(i)];
+      if (!holds(std::min(ci, cj))) continue;
+      const Source source(columns + i * B, Eigen::OuterStride<>(n));
       if (ci < cj) {
-        using Source = Eigen::Map<const Eigen::Matrix<double, B, B>, Eigen::Unaligned, Eigen::OuterStride<>>;
-        AddBlock<B>(front, cj, ci, Source(columns + i * B, Eigen::OuterStride<>(n)).transpose());
-        ++i;
-        continue;
+        AddBlock<B>(front, cj, ci, source.transpose());
+      } else if (i > j) {
+        AddBlock<B>(front, ci, cj, source);
+      } else {
+        AddBlock<B>(front, ci, cj, source.template triangularView<Eigen::Lower>().toDenseMatrix());
       }
-      int end = i + 1;
-      while (end < blocks && row(end) == ci + (end - i) * B) ++end;
-      const size_t step = At(cj < front.Columns() ? front.Rows() : front.Rows() - front.Columns());
-      double* target = Target<B>(front, ci, cj);
-      for (int c = 0; c < B; ++c) {
-        const double* source = columns + At(c) * At(n) + At(i * B);
-        double* to = target + At(c) * step;
-        const int length = (end - i) * B;
-        for (int k = i == j ? c : 0; k < length; ++k) to[k] += source[k];
-      }
-      i = end;
     }
-    AddRightHandSide<B>(front, cj, columns + At(n - 1), At(n));
+    if (holds(cj)) AddRightHandSide<B>(front, cj, columns + At(n - 1), At(n));
   }
 }
 
 }  // namespace
 
+// Extend-add of a child's update matrix.
 template <int B>
-int FrontFactorization<B>::FactorFront(Front<B>& front, const Sources& from, std::vector<int>& row_of, bool parallel) {
-  const int rows = front.Rows(), p = front.Columns(), n = rows - p;
-  ClearLower(front.panel.data(), rows, p);
-  ClearLower(front.update.data(), n, n);
-  front.update_separators = static_cast<int>(front.separators.size());
-  front.corrections.clear();
-  front.ForEachRow([&](int v, int row) { row_of[At(v)] = row; });
+void FrontFactorization<B>::AssembleChild(Part part, Front<B>& front, const Front<B>& child, Scratch& scratch) {
+  const int blocks = child.update_separators, p = front.Columns(), rows = front.Rows();
+  auto& [row_of, at, run_end, updates] = scratch;
+  at.resize(At(blocks));
+  run_end.resize(At(blocks));
+  bool ascends = true;
+  for (int k = 0; k < blocks; ++k) {
+    at[At(k)] = row_of[At(child.separators[At(k)])];
+    ascends = ascends && (k == 0 || at[At(k)] > at[At(k - 1)]);
+  }
+  if (!ascends) {
+    return AddUnordered<B>(front, child, at, [&](int column) { return (column < p) == (part == Part::kPanel); });
+  }
+  for (int k = blocks - 1; k >= 0; --k) {
+    const bool goes_on = k + 1 < blocks && at[At(k + 1)] == at[At(k)] + B;
+    run_end[At(k)] = goes_on ? run_end[At(k + 1)] : k + 1;
+  }
+  const int split = static_cast<int>(std::lower_bound(at.begin(), at.end(), p) - at.begin());
+  if (part == Part::kPanel) {
+    Kernels().extend_add(front.panel.data(), rows, child.update.data(), child.UpdateRows(), at.data(), run_end.data(),
+                         0, split, blocks, rows - 1, B);
+  } else {
+    for (int k = split; k < blocks; ++k) at[At(k)] -= p;
+    Kernels().extend_add(front.update.data(), rows - p, child.update.data(), child.UpdateRows(), at.data(),
+                         run_end.data(), split, blocks, blocks, rows - p - 1, B);
+  }
+}
+
+// What slots and children add to the panel, or to the update matrix.
+template <int B>
+void FrontFactorization<B>::Assemble(Part part, Front<B>& front, const Sources& from, Scratch& scratch) {
+  const int p = front.Columns();
+  const auto holds = [&](int column) { return (column < p) == (part == Part::kPanel); };
   for (const int slot : front.slots) {
     const typename BlockSystem<B>::Normal* normal = &from.system.NormalAt(slot);
     if (from.instead != nullptr) {
       const auto it = from.instead->find(slot);
       if (it != from.instead->end()) normal = &it->second;
     }
-    AssembleFactor<B>(front, from.system.LinearFactorAt(slot), *normal, row_of);
+    AssembleFactor<B>(front, from.system.LinearFactorAt(slot), *normal, scratch.row_of, holds);
   }
   for (const int child : front.children) {
-    AssembleChild<B>(front, child < 0 ? from.pending[At(-1 - child)] : from.tree[child], row_of);
+    AssembleChild(part, front, child < 0 ? from.pending[At(-1 - child)] : from.tree[child], scratch);
   }
+}
+
+// The update matrix is set to what the pivots leave of it before anything is added, so that it need not be cleared.
+template <int B>
+int FrontFactorization<B>::FactorFront(Front<B>& front, const Sources& from, Scratch& scratch, bool parallel) {
+  const int rows = front.Rows(), p = front.Columns(), n = rows - p;
+  ClearLower(front.panel.data(), rows, p);
+  front.update_separators = static_cast<int>(front.separators.size());
+  front.corrections.clear();
+  front.ForEachRow([&](int v, int row) { scratch.row_of[At(v)] = row; });
+  Assemble(Part::kPanel, front, from, scratch);
   if (!from.damping.empty()) {
     for (int c = 0; c < p; ++c) *front.Entry(c, c) += from.damping[At(front.pivots[At(c / B)]) * B + At(c % B)];
   }
   const int failed = FactorPanel(front.panel.data(), rows, p, parallel);
   if (failed >= 0) return front.pivots[At(failed / B)];
-  SubtractSquare(front.update.data(), n, front.panel.data() + p, rows, n, n, p, parallel);
+  SetNegativeSquare(front.update.data(), n, front.panel.data() + p, rows, n, n, p, parallel);
+  Assemble(Part::kUpdate, front, from, scratch);
   return SumPivots(front, 0, from.system);
 }
 
@@ -220,54 +270,56 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
                                      const std::vector<Front<B>>& pending, const BlockSystem<B>& system,
                                      const FrontTree<B>& tree, const std::vector<double>& damping, double& flops) {
   const Sources from{system, tree, pending, damping};
-  double total = 0, updates = 0;
-  for (const Front<B>* front : fronts) {
-    total += FactorFlops(front->Rows(), front->Columns());
-    updates += std::pow(front->Rows() - front->Columns(), 2);
-  }
+  double total = 0;
+  for (const Front<B>* front : fronts) total += FactorFlops(front->Rows(), front->Columns());
   const int count = static_cast<int>(fronts.size());
-  const ChildLists children = drops_updates_ && updates > kLeastDropped ? ChildLists(parents) : ChildLists();
-  const bool drops = children.IsUsed();
+  const bool drops = drops_updates_;
+  const ChildLists children = drops ? ChildLists(parents) : ChildLists();
   has_dropped_ = has_dropped_ || drops;  // if this fails the tree is what it was before, or not usable
-  // The pool is nobody's who works beside others.
-  const auto take = [&](size_t size) { return drops ? std::vector<double>(size) : pool_.Take(size); };
-  const auto take_buffers = [&](Front<B>& front) {
-    const size_t rows = At(front.Rows()), n = rows - At(front.Columns());
-    if (front.panel.size() < rows * At(front.Columns())) front.panel = take(rows * At(front.Columns()));
-    if (front.update.size() < n * n) front.update = take(n * n);
+  const auto take_buffers = [&](Front<B>& front, Scratch& scratch) {
+    const size_t rows = At(front.Rows()), columns = At(front.Columns()), n = rows - columns;
+    if (front.panel.size() < rows * columns) {
+      // The pool is nobody's who works beside others.
+      front.panel = drops ? std::vector<double>(rows * columns) : pool_.Take(rows * columns);
+    }
+    if (front.update.size() < n * n) front.update = drops ? scratch.updates.Take(n * n) : pool_.Take(n * n);
   };
   std::atomic<int> end(count);  // the first front that failed, or all
   std::vector<int> failed(fronts.size(), -1);
   WorkShare share(progress_, total);
-  const auto factor = [&](int k, std::vector<int>& row_of, bool parallel) {
+  const auto factor = [&](int k, Scratch& scratch, bool parallel) {
     int seen = end;
     if (k > seen) return;
-    failed[At(k)] = FactorFront(*fronts[At(k)], from, row_of, parallel);
-    children.ForEach(k, [&](int child) { std::vector<double>().swap(fronts[At(child)]->update); });
+    failed[At(k)] = FactorFront(*fronts[At(k)], from, scratch, parallel);
+    children.ForEach(k, [&](int child) {
+      std::vector<double>& update = fronts[At(child)]->update;
+      if (update.size() >= kLeastDropped) scratch.updates.Give(std::move(update));
+    });
     while (failed[At(k)] >= 0 && k < seen && !end.compare_exchange_weak(seen, k)) continue;
     share.Add(*fronts[At(k)]);
   };
   if (threads_ > 1 && total > kParallelFlops) {
     for (Front<B>* front : fronts) {
-      if (!drops) take_buffers(*front);
+      if (!drops) take_buffers(*front, scratch_);
     }
-    thread_row_of_.resize(At(threads_));
-    for (auto& row_of : thread_row_of_) row_of.resize(row_of_.size());
+    thread_scratch_.resize(At(threads_));
+    for (Scratch& scratch : thread_scratch_) scratch.row_of.resize(scratch_.row_of.size());
     WithThreads(threads_, [&] {
       ForEachBottomUp(parents, [&](int k) {
-        if (drops) take_buffers(*fronts[At(k)]);
-        factor(k, thread_row_of_[ThreadIndex()], true);
+        Scratch& scratch = thread_scratch_[ThreadIndex()];
+        if (drops) take_buffers(*fronts[At(k)], scratch);
+        factor(k, scratch, true);
       });
     });
   } else if (drops) {  // a subtree at a time, so that few update matrices wait
     for (const int k : children.Postorder()) {
-      take_buffers(*fronts[At(k)]);
-      factor(k, row_of_, false);
+      take_buffers(*fronts[At(k)], scratch_);
+      factor(k, scratch_, false);
     }
   } else {
     for (int k = 0; k < std::min(count, end + 1); ++k) {
-      take_buffers(*fronts[At(k)]);
-      factor(k, row_of_, false);
+      take_buffers(*fronts[At(k)], scratch_);
+      factor(k, scratch_, false);
     }
   }
   for (int k = 0; k < end; ++k) flops += FactorFlops(fronts[At(k)]->Rows(), fronts[At(k)]->Columns());
@@ -333,7 +385,7 @@ template <int B>
 template <class Archive>
 void FrontFactorization<B>::Serialize(Archive& archive) {
   // The rest is scratch; a factor without update matrices is not stored.
-  auto& [row_of, thread_row_of, pool, threads, drops_updates, has_dropped, progress] = *this;
+  auto& [scratch, thread_scratch, pool, threads, drops_updates, has_dropped, progress] = *this;
   archive(threads);
 }
 

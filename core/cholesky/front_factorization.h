@@ -19,7 +19,7 @@ class FrontFactorization {
 
   void SetThreads(int threads) { threads_ = threads; }
   int Threads() const { return threads_; }
-  void Resize(int variables) { row_of_.resize(At(variables), -1); }
+  void Resize(int variables) { scratch_.row_of.resize(At(variables), -1); }
 
   // Assembles and factors one front, which has its buffers; its children that are not in the tree are in `pending`
   // (FrontTree::Replace). damping: B scalars per variable, added to the diagonal, or empty. `instead`: what some slots
@@ -27,7 +27,7 @@ class FrontFactorization {
   // definite, or -1.
   int Factor(Front<B>& front, const std::vector<Front<B>>& pending, const BlockSystem<B>& system,
              const FrontTree<B>& tree, const std::vector<double>& damping = {}, const Normals* instead = nullptr) {
-    return FactorFront(front, {system, tree, pending, damping, instead}, row_of_, false);
+    return FactorFront(front, {system, tree, pending, damping, instead}, scratch_, false);
   }
   // Factors fronts, children before parents; parents[k] > k is the index of that of fronts[k], or -1. Gives them
   // buffers and counts the flops. Returns the variable at which the matrix was found not to be positive definite,
@@ -55,7 +55,7 @@ class FrontFactorization {
   // measures, or -1.
   static int SumPivots(Front<B>& front, int first_column, const BlockSystem<B>& system);
 
-  // FactorAll of a whole tree then frees each update matrix as soon as the parent has taken it, where they take much.
+  // FactorAll of a whole tree then gives each update matrix away as soon as the parent has taken it.
   void DropUpdates() { drops_updates_ = true; }
   bool HasDropped() const { return has_dropped_; }
   // FactorAll tells the share of its work that is done: from any of its threads, from one at a time.
@@ -63,7 +63,7 @@ class FrontFactorization {
 
   BufferPool& Pool() { return pool_; }
   // Scratch, by variable: its first row in the front at hand.
-  std::vector<int>& RowOf() { return row_of_; }
+  std::vector<int>& RowOf() { return scratch_.row_of; }
 
   template <class Archive>
   void Serialize(Archive& archive);
@@ -78,12 +78,20 @@ class FrontFactorization {
     const std::vector<double>& damping;
     const Normals* instead = nullptr;
   };
-  // row_of: of the calling thread. May run for several fronts at once, if parallel also with threads of its own inside
+  struct Scratch {
+    std::vector<int> row_of;       // by variable
+    std::vector<int> at, run_end;  // by separator of a child
+    ShortLivedBuffers updates;     // where none is kept
+  };
+  // scratch: of the calling thread. May run for several fronts at once, if parallel also with threads of its own inside
   // one.
-  static int FactorFront(Front<B>& front, const Sources& from, std::vector<int>& row_of, bool parallel);
+  static int FactorFront(Front<B>& front, const Sources& from, Scratch& scratch, bool parallel);
+  enum class Part { kPanel, kUpdate };
+  static void Assemble(Part part, Front<B>& front, const Sources& from, Scratch& scratch);
+  static void AssembleChild(Part part, Front<B>& front, const Front<B>& child, Scratch& scratch);
 
-  std::vector<int> row_of_;
-  std::vector<std::vector<int>> thread_row_of_;  // the same, by thread
+  Scratch scratch_;
+  std::vector<Scratch> thread_scratch_;
   BufferPool pool_;
   int threads_ = 1;
   bool drops_updates_ = false, has_dropped_ = false;

@@ -15,10 +15,11 @@ inline Vector Load(const double* p) { return *reinterpret_cast<const Vector*>(p)
 inline void Store(double* p, Vector v) { *reinterpret_cast<Vector*>(p) = v; }
 
 // What becomes of C.
-enum class Into { kSubtract, kSet, kAdd };
+enum class Into { kSubtract, kSet, kSetNegative, kAdd };
+constexpr bool Sets(Into into) { return into == Into::kSet || into == Into::kSetNegative; }
 
-// C (V vectors of rows x N columns) -=, = or += A B', A and B with `depth` columns. `keep` is zero in the lanes of the
-// last vector that another tile has done.
+// C (V vectors of rows x N columns) -=, =, = - or += A B', A and B with `depth` columns. `keep` is zero in the lanes of
+// the last vector that another tile has done.
 template <int V, int N, Into kInto>
 inline void Tile(double* c, long ldc, const double* a, long lda, const double* b, long ldb, int depth,
                  const Vector* keep) {
@@ -34,15 +35,18 @@ inline void Tile(double* c, long ldc, const double* a, long lda, const double* b
   }
   for (int j = 0; j < N; ++j) {
     double* to = c + j * ldc;
+    if (kInto == Into::kSetNegative) {
+      for (int v = 0; v < V; ++v) sum[j][v] = -sum[j][v];
+    }
     if (keep != nullptr) {
-      if (kInto == Into::kSet) {
+      if (Sets(kInto)) {
         sum[j][V - 1] = *keep > 0 ? sum[j][V - 1] : Load(to + (V - 1) * kWidth);
       } else {
         sum[j][V - 1] *= *keep;
       }
     }
     for (int v = 0; v < V; ++v) {
-      if (kInto == Into::kSet) {
+      if (Sets(kInto)) {
         Store(to + v * kWidth, sum[j][v]);
       } else {
         const Vector old = Load(to + v * kWidth);
@@ -74,7 +78,7 @@ void Columns(double* c, long ldc, const double* a, long lda, const double* b, lo
       double sum = 0;
       for (int k = 0; k < depth; ++k) sum += a[i + k * lda] * b[j + k * ldb];
       double& to = c[i + j * ldc];
-      to = kInto == Into::kSet ? sum : kInto == Into::kAdd ? to + sum : to - sum;
+      to = Sets(kInto) ? (kInto == Into::kSet ? sum : -sum) : kInto == Into::kAdd ? to + sum : to - sum;
     }
   }
 }
@@ -89,16 +93,20 @@ void ColumnsOf(int count, double* c, long ldc, const double* a, long lda, const 
   }
 }
 
-// The lower trapezoid of C (rows x columns) -= A B', A with `rows` and B with `columns` rows. The upper triangles of
-// tiles on the diagonal are written too: nobody reads them.
+// The lower trapezoid of C (rows x columns) op A B', A with `rows` and B with `columns` rows, depth at most kDepth. The
+// upper triangles of tiles on the diagonal are written too: nobody reads them.
+template <Into kInto>
+void Lower(double* c, long ldc, const double* a, const double* b, long ld, int rows, int columns, int depth) {
+  for (int j = 0; j < columns; j += kTileColumns) {
+    const int n = columns - j < kTileColumns ? columns - j : kTileColumns;
+    ColumnsOf<kTileColumns, kInto>(n, c + j * ldc + j, ldc, a + j, ld, b + j, ld, rows - j, depth);
+  }
+}
+
 void SubtractLower(double* c, long ldc, const double* a, const double* b, long ld, int rows, int columns, int depth) {
   for (int k = 0; k < depth; k += kDepth) {
     const int d = depth - k < kDepth ? depth - k : kDepth;
-    for (int j = 0; j < columns; j += kTileColumns) {
-      const int n = columns - j < kTileColumns ? columns - j : kTileColumns;
-      ColumnsOf<kTileColumns, Into::kSubtract>(n, c + j * ldc + j, ldc, a + k * ld + j, ld, b + k * ld + j, ld,
-                                               rows - j, d);
-    }
+    Lower<Into::kSubtract>(c, ldc, a + k * ld, b + k * ld, ld, rows, columns, d);
   }
 }
 

@@ -62,7 +62,7 @@ LinearFactor<Pose::kDof> Linearize(const Factor<Pose>& factor, int first, int se
 template <class Pose>
 Vector<Pose::kDof> Residual(const Factor<Pose>& factor, const Pose& T_world_first, const Pose& T_world_second) {
   if (const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
-    return (T_world_first * f->T_from_to).Local(T_world_second);
+    return RelativeError(f->T_from_to, T_world_first, T_world_second);
   }
   if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) return f->T_world_body.Local(T_world_first);
   Vector<Pose::kDof> out = Vector<Pose::kDof>::Zero();

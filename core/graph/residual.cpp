@@ -16,29 +16,39 @@ Matrix<6, 6> TimesAdjoint(const Matrix<6, 6>& J, const SE3& T) {
 
 }  // namespace
 
+SE3::Tangent RelativeError(const SE3& T_from_to, const SE3& T_world_from, const SE3& T_world_to) {
+  return (T_world_from * T_from_to).Local(T_world_to);
+}
+
+// With the rotations that the poses hold: no angle needs its sine.
+SE2::Tangent RelativeError(const SE2& T_from_to, const SE2& T_world_from, const SE2& T_world_to) {
+  const Vector<2> p = T_world_from.Rotation().transpose() * (T_world_to.Translation() - T_world_from.Translation());
+  const Vector<2> e = T_from_to.Rotation().transpose() * (p - T_from_to.Translation());
+  return {e.x(), e.y(), WrapAngle(T_world_to.Theta() - T_world_from.Theta() - T_from_to.Theta())};
+}
+
 template <>
 RelativeResidual<SE3> EvaluateRelative(const SE3& T_from_to, const SE3& T_world_from, const SE3& T_world_to) {
   const SE3 T_to_from = T_world_to.Between(T_world_from);
   RelativeResidual<SE3> out;
-  out.residual = (T_world_from * T_from_to).Local(T_world_to);
+  out.residual = RelativeError(T_from_to, T_world_from, T_world_to);
   out.J_residual_to = SE3::LocalJacobian(out.residual);
   out.J_residual_from = -TimesAdjoint(out.J_residual_to, T_to_from);
   return out;
 }
 
-// With the rotations that the poses hold, and one more.
 template <>
 RelativeResidual<SE2> EvaluateRelative(const SE2& T_from_to, const SE2& T_world_from, const SE2& T_world_to) {
-  const SE2 T_world_measured = T_world_from * T_from_to;
-  const Matrix<2, 2> R_measured_world = T_world_measured.Rotation().transpose();
+  const Matrix<2, 2> R_measured_from = T_from_to.Rotation().transpose();
+  const Matrix<2, 2> R_measured_world = R_measured_from * T_world_from.Rotation().transpose();
   const Vector<2> arm = R_measured_world * (T_world_from.Translation() - T_world_to.Translation());
   RelativeResidual<SE2> out;
-  out.residual = T_world_measured.Local(T_world_to);
+  out.residual = RelativeError(T_from_to, T_world_from, T_world_to);
   out.J_residual_to.setIdentity();
   out.J_residual_to.topLeftCorner<2, 2>().noalias() = R_measured_world * T_world_to.Rotation();
   out.J_residual_from.setIdentity();
   out.J_residual_from *= -1;
-  out.J_residual_from.topLeftCorner<2, 2>().noalias() = -(R_measured_world * T_world_from.Rotation());
+  out.J_residual_from.topLeftCorner<2, 2>() = -R_measured_from;
   out.J_residual_from.topRightCorner<2, 1>() << -arm.y(), arm.x();
   return out;
 }
@@ -76,7 +86,7 @@ double Weighted(const Residual& r, const Information& information) {
 template <class Pose>
 double FactorChi2(const Factor<Pose>& factor, const Pose& T_world_first, const Pose& T_world_second) {
   if (const auto* f = std::get_if<RelativePoseFactor<Pose>>(&factor)) {
-    const typename Pose::Tangent r = (T_world_first * f->T_from_to).Local(T_world_second);
+    const typename Pose::Tangent r = RelativeError(f->T_from_to, T_world_first, T_world_second);
     return Weighted(r, f->information);
   }
   if (const auto* f = std::get_if<PosePriorFactor<Pose>>(&factor)) {

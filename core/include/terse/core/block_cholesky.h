@@ -136,6 +136,8 @@ class BlockCholesky {
   // New values for the linear factors of slots 0, 1, ... on the present structure: numeric work only. damping (B *
   // Variables() scalars or empty) is added to the diagonal. If false, L is unusable until a Refactor succeeds.
   void SetLinearFactors(const std::vector<LinearFactor<B>>& factors);
+  // The same for all slots without a copy: `factors` holds the old ones afterwards.
+  void ExchangeLinearFactors(std::vector<LinearFactor<B>>& factors);
   [[nodiscard]] bool Refactor(const std::vector<double>& damping = {});
 
   // Back-substitution L' d = y from the roots. A subtree is skipped where no front changed and no separator

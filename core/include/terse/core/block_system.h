@@ -71,6 +71,8 @@ class BlockSystem {
   void Commit(const Undo& undo, std::uint64_t version_before) noexcept;
   // New linear factors for slots 0, 1, ..., on the same variables. Throws std::invalid_argument for others.
   void SetLinearFactors(const std::vector<LinearFactor<B>>& factors, int threads);
+  // The same for all slots without a copy: `factors` holds the old ones afterwards.
+  void ExchangeLinearFactors(std::vector<LinearFactor<B>>& factors, int threads);
 
   // What changed from one version to the present one, a slot once. Only so much is remembered as can be of use for
   // downdating covariances: absent if it was more, or longer ago.
@@ -83,6 +85,8 @@ class BlockSystem {
   static constexpr int kSlotBlock = 1024;
 
  private:
+  void RequireSameVariables(const std::vector<LinearFactor<B>>& factors) const;
+  void RenewNormals(std::size_t slots, int threads);
   void SetSlot(int slot, const LinearFactor<B>& factor);
   void ExchangeSlot(int slot, LinearFactor<B>& factor);
   void Attach(int slot);

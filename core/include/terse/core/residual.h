@@ -7,7 +7,11 @@
 
 namespace terse {
 
-// r = Local(T_from_to^-1 * T_world_from^-1 * T_world_to); J_r_from = -J_r_to * Ad(T_world_to^-1 T_world_from).
+// r = Local(T_from_to^-1 * T_world_from^-1 * T_world_to).
+SE2::Tangent RelativeError(const SE2& T_from_to, const SE2& T_world_from, const SE2& T_world_to);
+SE3::Tangent RelativeError(const SE3& T_from_to, const SE3& T_world_from, const SE3& T_world_to);
+
+// That, and J_r_from = -J_r_to * Ad(T_world_to^-1 T_world_from).
 template <class Pose>
 struct RelativeResidual {
   typename Pose::Tangent residual;

@@ -15,6 +15,8 @@ struct DenseKernels {
   // leading dimension ld.
   void (*subtract_product)(double* c, int ldc, const double* a, const double* b, int ld, int rows, int columns,
                            int depth);
+  // Lower trapezoid of C = -A A', A rows x depth with leading dimension ld; depth at least one.
+  void (*set_negative_square)(double* c, int ldc, const double* a, int ld, int rows, int columns, int depth);
   // The first `pivots` columns of [L; y'] (rows x pivots, lower trapezoidal, leading dimension ld) become those of
   // L L' + W W', W having `columns` columns and the same rows. What W holds in its other rows afterwards is the update
   // of what is below. Pivots may be zero.
@@ -26,6 +28,12 @@ struct DenseKernels {
   // B'B, H_cross = B'A and b_second = -B'r, all contiguous. Size 3 or 6.
   void (*normal_blocks)(const double* a, const double* b, const double* r, int size, double* H_first, double* H_second,
                         double* H_cross, double* b_first, double* b_second);
+
+  // Columns of blocks `first` to before `last` of a symmetric matrix (lower triangle, a last row besides, leading
+  // dimension ldf), added to one with leading dimension ldt: block k's rows and columns from at[k] on, ascending, the
+  // last row at rhs. run_end[k]: behind the blocks that follow block k in both. Size 3 or 6.
+  void (*extend_add)(double* to, int ldt, const double* from, int ldf, const int* at, const int* run_end, int first,
+                     int last, int blocks, int rhs, int size);
 
   // For covariances. Several right-hand sides side by side: x row-major with `stride` columns, a multiple of kLanes.
   //
