@@ -100,6 +100,19 @@ TEST(BlockCholesky, BatchAndRefactorEqualDense) {
     ASSERT_TRUE(factor.Refactor());
     ExpectEqualsDense(factor, mirror);
 
+    // Exchanged instead of copied, the old ones come back.
+    std::vector<LinearFactor<3>> exchanged = values;
+    for (std::size_t k = 0; k < exchanged.size(); ++k) {
+      mirror.by_slot[static_cast<int>(k)] = exchanged[k] = RandomFactor<3>(rng, values[k].first, values[k].second);
+    }
+    factor.ExchangeLinearFactors(exchanged);
+    EXPECT_EQ(exchanged.back().A_first, values.back().A_first);
+    ASSERT_TRUE(factor.Refactor());
+    ExpectEqualsDense(factor, mirror);
+    exchanged.pop_back();
+    EXPECT_THROW(factor.ExchangeLinearFactors(exchanged), std::invalid_argument);
+    ExpectEqualsDense(factor, mirror);
+
     // Damping adds to the diagonal and goes again.
     std::vector<double> damping(static_cast<std::size_t>(3 * n));
     for (double& x : damping) x = Uniform(rng, 0.1, 2);

@@ -39,13 +39,60 @@ TEST(DenseKernels, EqualDenseCholesky) {
       ASSERT_EQ(kernels.factor_panel(panel.data(), rows, rows, p), -1);
       kernels.subtract_product(update.data(), n, panel.data() + p, panel.data() + p, rows, n, n, p);
       // Condition below 10, up to 340 rows.
+      Eigen::MatrixXd square = Eigen::MatrixXd::Constant(n, n, nan);
+      kernels.set_negative_square(square.data(), n, panel.data() + p, rows, n, n, p);
       double error = 0;
+      for (int c = 0; c < n; ++c) {
+        const Eigen::VectorXd whole = square.col(c) + H.bottomRightCorner(n, n).col(c) - update.col(c);
+        error = std::max(error, whole.tail(n - c).cwiseAbs().maxCoeff());
+      }
       for (int c = 0; c < p; ++c)
         error = std::max(error, (panel.col(c) - L.col(c)).tail(rows - c).cwiseAbs().maxCoeff());
       const Eigen::MatrixXd schur = L.bottomRightCorner(n, n) * L.bottomRightCorner(n, n).transpose();
       for (int c = 0; c < n; ++c)
         error = std::max(error, (update.col(c) - schur.col(c)).tail(n - c).cwiseAbs().maxCoeff());
       ASSERT_LT(error, 1e-10 * rows) << "pivots " << p << ", separators " << s;
+    }
+  }
+}
+
+// Blocks of a matrix with a last row, some of them neighbours in the target too, into a larger one: the lower triangle
+// alone, which the upper, not a number, must not reach.
+template <int B>
+void ExpectExtendAdd(const internal::DenseKernels& kernels, testing::Random& rng) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  for (int blocks = 0; blocks <= 9; ++blocks) {
+    std::vector<int> at, run_end(static_cast<std::size_t>(blocks), blocks);
+    int next = 0;
+    for (int k = 0; k < blocks; ++k) {
+      next += rng() % 3 == 0 ? B + 2 : 0;
+      at.push_back(next);
+      next += B;
+    }
+    for (int k = blocks - 2; k >= 0; --k) {
+      const auto i = static_cast<std::size_t>(k);
+      run_end[i] = at[i + 1] == at[i] + B ? run_end[i + 1] : k + 1;
+    }
+    const int n = blocks * B + 1, rows = next + 3, rhs = next + 2;
+    Eigen::MatrixXd from = Eigen::MatrixXd::NullaryExpr(n, n, [&] { return testing::Normal(rng); });
+    for (int c = 1; c < n; ++c) from.col(c).head(c).setConstant(nan);
+    const int first = blocks / 3, last = blocks - blocks / 4;
+    Eigen::MatrixXd to = Eigen::MatrixXd::NullaryExpr(rows, rows, [&] { return testing::Normal(rng); }), expected = to;
+    for (int j = first * B; j < last * B; ++j) {
+      const auto target = [&](int k) { return at[static_cast<std::size_t>(k / B)] + k % B; };
+      for (int i = j; i < blocks * B; ++i) expected(target(i), target(j)) += from(i, j);
+      expected(rhs, target(j)) += from(n - 1, j);
+    }
+    kernels.extend_add(to.data(), rows, from.data(), n, at.data(), run_end.data(), first, last, blocks, rhs, B);
+    EXPECT_EQ(to, expected) << kernels.name << ", blocks " << blocks;
+  }
+}
+TEST(DenseKernels, ExtendAddPlacesBlocks) {
+  testing::Random rng(9);
+  for (const auto& kernels : internal::AvailableKernels()) {
+    for (int k = 0; k < 20; ++k) {
+      ExpectExtendAdd<3>(kernels, rng);
+      ExpectExtendAdd<6>(kernels, rng);
     }
   }
 }

@@ -220,6 +220,37 @@ TEST(Ordering, FreshOrdersThatTakeTooLongForAStepAreRare) {
   EXPECT_LT(limited, unlimited);
 }
 
+// In the natural order the factor of a grid is a band, which no search would choose.
+TEST(Ordering, AFactorIsEliminatedInTheOrderThatItIsGiven) {
+  constexpr int B = 3;
+  Random rng(8);
+  const int side = 20, n = side * side;
+  BlockCholesky<B>::Changes all;
+  all.new_variables = n;
+  for (int v = 0; v < n; ++v) all.added.push_back(RandomFactor<B>(rng, v, -1));
+  const Cliques grid = Grid(side);
+  for (int c = 0; c < grid.Count(); ++c)
+    all.added.push_back(RandomFactor<B>(rng, grid.members[At(2 * c)], grid.members[At(2 * c + 1)]));
+  std::vector<int> natural(At(n));
+  std::iota(natural.begin(), natural.end(), 0);
+  const auto factored = [&](const std::vector<int>& order) {
+    BlockCholesky<B> cholesky;
+    cholesky.SetOrder(order);
+    EXPECT_TRUE(cholesky.Update(all).ok);
+    cholesky.Solve();
+    return cholesky;
+  };
+  const BlockCholesky<B> free = factored({}), band = factored(natural), short_order = factored({1, 0});
+  EXPECT_GT(band.Nonzeros(), 1.5 * static_cast<double>(free.Nonzeros()));
+  EXPECT_EQ(short_order.Nonzeros(), free.Nonzeros());
+  const Eigen::Map<const Eigen::VectorXd> x(free.Solution().data(), B * n), y(band.Solution().data(), B * n);
+  EXPECT_LT((x - y).norm(), 1e-10 * y.norm());
+  BlockCholesky<B> cholesky;
+  natural.back() = 0;
+  EXPECT_THROW(cholesky.SetOrder(natural), std::invalid_argument);
+  EXPECT_THROW(cholesky.SetOrder({0, -1}), std::invalid_argument);
+}
+
 double ScalarsOfUpdates(const FrontTree<3>& tree) {
   double sum = 0;
   for (const int f : tree.TopDown()) sum += static_cast<double>(tree[f].update.size());

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "terse/core/batch_solver.h"
+#include "terse/core/elimination_order.h"
 #include "terse/core/generate.h"
 #include "testing_walk.h"
 
@@ -108,6 +109,21 @@ TEST(StartValuesTest, WhatThereIsNotIsSaid) {
   EXPECT_THROW(ChooseStart(parted), std::invalid_argument);
   EXPECT_THROW(ChooseStart(PoseGraph<SE2>()), std::invalid_argument);
   EXPECT_TRUE(ComputeInitialValues(PoseGraph<SE2>(), InitialValues::kAuto).empty());
+}
+
+TEST(StartValuesTest, OneOrderServesAllFactorisations) {
+  const PoseGraph<SE2> graph = Manhattan(1500, 2);
+  const StartChoice<SE2> start = ChooseStart(graph);
+  ASSERT_EQ(start.order, EliminationOrder(graph));
+  BatchOptions in_order;
+  in_order.order = start.order;
+  const BatchResult<SE2> given = SolveBatch(graph, start.T_world_body, in_order),
+                         found = SolveBatch(graph, start.T_world_body, BatchOptions());
+  EXPECT_LE(static_cast<double>(given.cholesky.Nonzeros()), 1.05 * static_cast<double>(found.cholesky.Nonzeros()));
+  EXPECT_NEAR(given.chi2, found.chi2, 1e-9 * found.chi2);
+  in_order.order.pop_back();
+  in_order.order.front() = in_order.order.back();
+  EXPECT_THROW(SolveBatch(graph, start.T_world_body, in_order), std::invalid_argument);
 }
 
 TEST(StartValuesTest, ThreadsChangeNothing) {

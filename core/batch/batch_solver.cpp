@@ -53,6 +53,7 @@ class Run {
     if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
     result_.T_world_body = initial;
     PrepareCholesky();
+    if (!problem_.IsRobust()) result_.cholesky.SetOrder(options.order);
   }
 
   BatchResult<Pose> Execute() && {
@@ -376,7 +377,10 @@ BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pos
 
 template <class Pose>
 BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const BatchOptions& options) {
-  return SolveBatch(graph, StartFor(graph, options).T_world_body, options);
+  StartChoice<Pose> start = StartFor(graph, options);
+  BatchOptions in_order = options;
+  in_order.order = std::move(start.order);
+  return SolveBatch(graph, start.T_world_body, in_order);
 }
 
 template <class Pose>

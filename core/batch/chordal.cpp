@@ -5,6 +5,7 @@
 
 #include "batch/chordal_problem.h"
 #include "terse/core/block_cholesky.h"
+#include "terse/core/elimination_order.h"
 #include "terse/core/error.h"
 #include "terse/core/front_paths.h"
 #include "terse/core/gauge.h"
@@ -59,6 +60,7 @@ class LeastSquares {
  public:
   LeastSquares(std::size_t poses, int columns, const StartOptions& options)
       : poses_(poses), columns_(columns), X_(3 * poses * At(Stride(columns)), 0.0) {
+    factor_.SetOrder(options.order);
     factor_.SetThreads(options.threads);
     factor_.DropUpdateMatrices();
     factor_.SetProgress(options.factor_progress);
@@ -132,7 +134,9 @@ class LeastSquares {
 
 template <class Pose>
 std::vector<Pose> ChordalValues(const PoseGraph<Pose>& graph, int first, const Pose& T_world_first,
-                                const StartOptions& options) {
+                                const StartOptions& given) {
+  StartOptions options = given;
+  if (options.order.empty()) options.order = EliminationOrder(graph);
   return ChordalStart(MeasurementsOf<Pose>(graph), first, T_world_first,
                       [&](int columns) { return LeastSquares<Pose::kDim>(graph.Poses().size(), columns, options); });
 }

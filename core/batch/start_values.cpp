@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "batch/batch_problem.h"
+#include "terse/core/elimination_order.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
 
@@ -36,6 +37,8 @@ class Comparison {
 
   Comparison(const PoseGraph<Pose>& graph, const StartOptions& options)
       : graph_(graph), problem_(graph, options.threads), options_(options) {
+    if (options_.order.empty()) options_.order = EliminationOrder(graph);
+    factor_.SetOrder(options_.order);
     factor_.SetThreads(options.threads);
     factor_.DropUpdateMatrices();
     factor_.SetProgress(options.factor_progress);
@@ -210,12 +213,13 @@ class Comparison {
       }
       out.trials.push_back(t);
     }
+    out.order = std::move(options_.order);
     return out;
   }
 
   const PoseGraph<Pose>& graph_;
   internal::Problem<Pose> problem_;
-  const StartOptions& options_;
+  StartOptions options_;
   BlockCholesky<B> factor_;
   std::vector<double> damping_;
   std::vector<Start> starts_;
@@ -232,9 +236,9 @@ StartChoice<Pose> ChooseStart(const PoseGraph<Pose>& graph, const StartOptions& 
 template <class Pose>
 StartChoice<Pose> StartFor(const PoseGraph<Pose>& graph, const BatchOptions& options) {
   if (options.robust.kernel == RobustKernel::kNone && !graph.Poses().empty()) {
-    return ChooseStart(graph, {options.threads, options.log, options.factor_progress});
+    return ChooseStart(graph, {options.threads, options.log, options.factor_progress, options.order});
   }
-  return {InitialValues::kCompose, ComputeInitialValues(graph, InitialValues::kCompose), {}};
+  return {InitialValues::kCompose, ComputeInitialValues(graph, InitialValues::kCompose), {}, {}};
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                              \

@@ -86,6 +86,17 @@ void BlockCholesky<B>::SetThreads(int threads) {
 }
 
 template <int B>
+void BlockCholesky<B>::SetOrder(std::vector<int> order) {
+  std::vector<char> seen(order.size(), 0);
+  for (const int v : order) {
+    if (v < 0 || At(v) >= seen.size() || std::exchange(seen[At(v)], 1) != 0) {
+      throw std::invalid_argument("an elimination order has to name every variable once");
+    }
+  }
+  parts_->region.SetFirstOrder(std::move(order));
+}
+
+template <int B>
 void BlockCholesky<B>::LimitReordering(double flops) {
   parts_->region.LimitLooks(flops);
 }

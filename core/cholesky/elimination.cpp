@@ -167,19 +167,20 @@ FactorCost CostOf(const std::vector<SymbolicFront>& fronts) {
   return cost;
 }
 
+std::vector<SymbolicFront> EliminateInOrder(const Cliques& cliques, std::vector<int> order) {
+  Elimination elimination(cliques, std::move(order));
+  elimination.Run();
+  return elimination.Fronts();
+}
+
 std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last,
                                      OrderFor purpose) {
-  const auto in_order = [&](std::vector<int> order) {
-    Elimination elimination(cliques, std::move(order));
-    elimination.Run();
-    return elimination.Fronts();
-  };
-  std::vector<SymbolicFront> fronts = in_order(MinimumDegreeOrder(variables, cliques, order_last));
+  std::vector<SymbolicFront> fronts = EliminateInOrder(cliques, MinimumDegreeOrder(variables, cliques, order_last));
   const FactorCost cost = CostOf(fronts);
   if (variables < kLeastDissected || cost.flops < WorthDissecting(purpose) * variables) return fronts;
   std::vector<int> order = NestedDissectionOrder(variables, cliques, order_last);
   if (order.empty()) return fronts;
-  std::vector<SymbolicFront> dissected = in_order(std::move(order));
+  std::vector<SymbolicFront> dissected = EliminateInOrder(cliques, std::move(order));
   const auto total = [&](const FactorCost& c) {
     return c.flops + (purpose == OrderFor::kUpdates ? kUpdatesPerFactorisation * c.paths / variables : 0.0);
   };

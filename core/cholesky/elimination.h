@@ -32,6 +32,7 @@ FactorCost CostOf(const std::vector<SymbolicFront>& fronts);
 enum class OrderFor { kSolving, kUpdates };
 
 // Fronts with children before parents; every clique is a subset of its front's pivots and separators.
+std::vector<SymbolicFront> EliminateInOrder(const Cliques& cliques, std::vector<int> order);
 std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last,
                                      OrderFor purpose);
 

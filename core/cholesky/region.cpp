@@ -173,6 +173,10 @@ void Region<B>::OrderNewestLast(const UpdateContext<B>& update, Couplings& coupl
 template <int B>
 typename Region<B>::Couplings Region<B>::Order(const UpdateContext<B>& update) {
   Couplings out = Collect(update);
+  if (fronts_.empty() && first_order_.size() == variables_.size() && !variables_.empty()) {
+    out.fronts = EliminateInOrder(out.cliques, std::exchange(first_order_, {}));
+    return out;
+  }
   OrderNewestLast(update, out);
   out.fronts = Eliminate(static_cast<int>(variables_.size()), out.cliques, out.order_last,
                          fronts_.empty() ? OrderFor::kSolving : OrderFor::kUpdates);
@@ -282,7 +286,7 @@ int Region<B>::RefactorAsOrdered(UpdateContext<B>& update) {
 template <int B>
 template <class Archive>
 void Region<B>::Serialize(Archive& archive) {
-  auto& [fronts, variables, is_taken, local, ordered, watch, most_flops] = *this;
+  auto& [fronts, variables, is_taken, local, ordered, watch, most_flops, first_order] = *this;
   archive(watch.work, watch.next_look);
 }
 

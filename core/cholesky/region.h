@@ -2,6 +2,8 @@
 // The touched part of the tree of fronts, ordered and factored again.
 
 #include <optional>
+#include <utility>
+#include <vector>
 
 #include "cholesky/elimination.h"
 #include "cholesky/preparation.h"
@@ -38,6 +40,8 @@ class Region {
   };
   const DriftWatch& Watch() const { return watch_; }
   void SetWatch(const DriftWatch& watch) { watch_ = watch; }
+  // For the first factorisation, if it is of so many variables, all of them.
+  void SetFirstOrder(std::vector<int> order) { first_order_ = std::move(order); }
   // From now on, looks that take more flops are rare; 0: no limit.
   void LimitLooks(double flops) { most_flops_ = flops; }
 
@@ -68,6 +72,7 @@ class Region {
   std::optional<Couplings> ordered_;  // what was taken, if it is ordered already
   DriftWatch watch_;
   double most_flops_ = 0;
+  std::vector<int> first_order_;
 };
 
 extern template class Region<3>;

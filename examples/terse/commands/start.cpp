@@ -25,21 +25,23 @@ void DescribeStart(InitialValues chosen, bool is_automatic, const std::vector<St
 }
 
 template <class Pose>
-std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, const BatchOptions& options,
+std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, BatchOptions& options,
                               nlohmann::ordered_json& stats) {
   const bool automatic = method == InitialValues::kAuto;
   StartChoice<Pose> start =
       automatic ? StartFor(graph, options)
                 : StartChoice<Pose>{
                       method,
-                      ComputeInitialValues(graph, method, {options.threads, options.log, options.factor_progress}),
+                      ComputeInitialValues(graph, method, {options.threads, options.log, options.factor_progress, {}}),
+                      {},
                       {}};
+  options.order = std::move(start.order);
   DescribeStart(start.chosen, automatic, start.trials, stats);
   return std::move(start.T_world_body);
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                            \
-  template std::vector<Pose> StartValues<Pose>(const PoseGraph<Pose>&, InitialValues, const BatchOptions&, \
+#define TERSE_INSTANTIATE(Pose)                                                                      \
+  template std::vector<Pose> StartValues<Pose>(const PoseGraph<Pose>&, InitialValues, BatchOptions&, \
                                                nlohmann::ordered_json&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

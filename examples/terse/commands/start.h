@@ -11,9 +11,9 @@
 namespace terse {
 
 // The initial values, and under "initial" in `stats` which they are; for kAuto, which is composed values with a robust
-// kernel, all that were compared too.
+// kernel, all that were compared too. `options` gets the elimination order, if one was found on the way.
 template <class Pose>
-std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, const BatchOptions& options,
+std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, BatchOptions& options,
                               nlohmann::ordered_json& stats);
 
 // Puts under "initial" in `stats` where an optimisation started.

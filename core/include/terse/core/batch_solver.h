@@ -37,6 +37,9 @@ struct BatchOptions {
   std::function<bool(int iteration, double chi2)> progress;
   // Told the share of a factorisation's work that is done, from any thread, from one at a time: what falls begins anew.
   std::function<void(double share)> factor_progress;
+  // Of elimination, pose indices (elimination_order.h); empty: one is looked for. With a robust kernel it always is,
+  // for the loops that have weight.
+  std::vector<int> order;
   RobustOptions robust;
   // The relative factors that the kernel is for; absent: LoopFactors. The others must hold every pose.
   std::optional<std::vector<FactorId>> robust_factors;

@@ -122,11 +122,14 @@ class BlockCholesky {
   // Up to so many threads (1 at first) share large work; results are the same to the last bit for any number. Throws
   // std::invalid_argument for less than one.
   void SetThreads(int threads);
+  // The first Update, if it brings so many variables, eliminates them in this order, first to last, instead of looking
+  // for one (elimination_order.h). Throws std::invalid_argument if the numbers are not those of variables, each once.
+  void SetOrder(std::vector<int> order);
   // A fresh order of everything that takes more flops is rarely looked for: it would be a step of its own. 0: no limit,
   // as at first. Not stored.
   void LimitReordering(double flops);
-  // For those who factor all at once, in a batch: the update matrices of a large factor go as soon as they have been
-  // assembled, which leaves a fraction of the memory. An Update later on factors everything again; nothing can be made
+  // For those who factor all at once, in a batch: update matrices go as soon as they have been assembled, and the next
+  // ones take their memory while it is in the caches. An Update later on factors everything again; nothing can be made
   // ready in pieces.
   void DropUpdateMatrices();
   // Told the share of the work of a factorisation that is done, after every front: from any of its threads, from one at

@@ -38,6 +38,7 @@ struct StartOptions {
   int threads = 1;                                    // at most; the result is the same for any number
   LogSink log;                                        // log.h
   std::function<void(double share)> factor_progress;  // as in BatchOptions
+  std::vector<int> order;                             // as in BatchOptions
 };
 
 // Pose values in the order of graph.Poses(). O(V + E) and, for kChordal, sparse factorisations (kAuto: more). Throws

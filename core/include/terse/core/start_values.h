@@ -34,6 +34,7 @@ struct StartChoice {
   InitialValues chosen = InitialValues::kCompose;
   std::vector<Pose> T_world_body;  // by pose index; the best found, a few steps from the start
   std::vector<StartTrial> trials;  // file, compose, tree, chordal
+  std::vector<int> order;          // of elimination, if there was need of one: for BatchOptions
 };
 
 // O(V + E), the relaxation's two sparse factorisations, and one factorisation per step. Throws std::invalid_argument if
