@@ -6,6 +6,7 @@
 #include "names.h"
 #include "pickling.h"
 #include "state_members.h"
+#include "terse/core/elimination_order.h"
 #include "terse/core/start_values.h"
 #include "values.h"
 
@@ -17,13 +18,19 @@ decltype(auto) Visit(const Solution& solution, F&& f) {
   return std::visit([&](const auto& result) -> decltype(auto) { return f(*result); }, solution.result);
 }
 
+// The options get the elimination order, if one was found on the way.
 template <class Pose>
-std::vector<Pose> InitialFrom(const PoseGraph<Pose>& graph, const py::object& initial, const BatchOptions& options) {
+std::vector<Pose> InitialFrom(const PoseGraph<Pose>& graph, const py::object& initial, BatchOptions& options) {
   if (!py::isinstance<py::str>(initial)) return PosesFrom<Pose>(initial.cast<Array>(), "initial");
   auto method = FromWord<InitialValues>(initial.cast<std::string>());
   const py::gil_scoped_release release;
-  if (method != InitialValues::kAuto || graph.Poses().empty()) return ComputeInitialValues(graph, method);
-  return StartFor(graph, options).T_world_body;
+  if (method == InitialValues::kChordal) options.order = EliminationOrder(graph);
+  if (method != InitialValues::kAuto || graph.Poses().empty()) {
+    return ComputeInitialValues(graph, method, {options.threads, {}, {}, options.order});
+  }
+  StartChoice<Pose> start = StartFor(graph, options);
+  options.order = std::move(start.order);
+  return std::move(start.T_world_body);
 }
 
 Solution Solve(const Graph& graph, const py::object& initial, const std::string& method, int max_iterations,
@@ -50,7 +57,8 @@ Solution Solve(const Graph& graph, const py::object& initial, const std::string&
 
 py::array InitialOf(const Graph& graph, const std::string& method) {
   const auto shared = graph.Share();
-  return std::visit([&](const auto& g) { return ArrayOf(InitialFrom(g, py::str(method), {})); }, *shared);
+  BatchOptions options;
+  return std::visit([&](const auto& g) { return ArrayOf(InitialFrom(g, py::str(method), options)); }, *shared);
 }
 
 std::shared_ptr<Marginals> MarginalsOf(Solution& solution) {

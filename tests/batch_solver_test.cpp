@@ -4,6 +4,8 @@
 
 #include <gtest/gtest.h>
 
+#include <string_view>
+
 #include "terse/core/error.h"
 #include "testing.h"
 
@@ -38,6 +40,35 @@ TYPED_TEST(BatchSolverTest, RecoversTheTruthWithoutNoise) {
     // The gradient is flat to rounding: poses are good to the square root of the tolerance over the weights.
     EXPECT_LT(random.truth[i].Local(result.T_world_body[i]).norm(), 1e-7);
   }
+}
+
+// However a run ended: after steps that climbed, were rejected or damped, or that there were no more of.
+TYPED_TEST(BatchSolverTest, TheFactorIsThatOfTheFinalValues) {
+  int unfinished = 0, damped = 0;
+  for (const std::uint64_t seed : {11U, 12U, 13U, 14U}) {
+    Random rng(seed);
+    const auto random = testing::MakeRandomGraph<TypeParam>(rng, {60, 0.1, 0.2});
+    std::vector<TypeParam> initial = random.truth;
+    for (std::size_t i = 1; i < initial.size(); ++i) {
+      initial[i] = initial[i] * testing::RandomMotion<TypeParam>(rng, 30, 3.1);
+    }
+    for (int most = 1; most <= 14; ++most) {
+      BatchOptions options;
+      options.max_iterations = most;
+      options.log = [&](LogLevel, std::string_view text) {
+        damped += text.find("damped steps from there") != text.npos || text.find("rejected") != text.npos;
+      };
+      const auto result = SolveBatch(random.graph, initial, options);
+      unfinished += !result.Converged();
+      const auto expected = CholeskyAt(random.graph, result.T_world_body);
+      EXPECT_NEAR(result.log_determinant, expected.LogDeterminant(), 1e-9 * std::abs(expected.LogDeterminant()));
+      EXPECT_NEAR(result.cholesky.NewtonDecrement(), expected.NewtonDecrement(),
+                  1e-7 * (expected.NewtonDecrement() + 1e-6 * result.chi2));
+      EXPECT_NEAR(result.chi2, Chi2(random.graph.WithPoses(result.T_world_body)), 1e-9 * result.chi2);
+    }
+  }
+  EXPECT_GT(unfinished, 10);
+  EXPECT_GT(damped, 0);
 }
 
 TYPED_TEST(BatchSolverTest, EndsWhereTheGradientVanishes) {

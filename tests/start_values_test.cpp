@@ -6,6 +6,7 @@
 
 #include "terse/core/batch_solver.h"
 #include "terse/core/elimination_order.h"
+#include "terse/core/error.h"
 #include "terse/core/generate.h"
 #include "testing_walk.h"
 
@@ -108,6 +109,10 @@ TEST(StartValuesTest, WhatThereIsNotIsSaid) {
   parted.AddPose({1000});
   EXPECT_THROW(ChooseStart(parted), std::invalid_argument);
   EXPECT_THROW(ChooseStart(PoseGraph<SE2>()), std::invalid_argument);
+  auto far = graph;
+  far.AddPose({1000});
+  far.AddFactor(RelativePoseFactor<SE2>{PoseId{99}, PoseId{1000}, SE2(1e300, 0, 0), 1e10 * Matrix<3, 3>::Identity()});
+  EXPECT_THROW(ComputeInitialValues(far, InitialValues::kChordal), NumericalError);
   EXPECT_TRUE(ComputeInitialValues(PoseGraph<SE2>(), InitialValues::kAuto).empty());
 }
 
@@ -121,14 +126,15 @@ TEST(StartValuesTest, OneOrderServesAllFactorisations) {
                          found = SolveBatch(graph, start.T_world_body, BatchOptions());
   EXPECT_LE(static_cast<double>(given.cholesky.Nonzeros()), 1.05 * static_cast<double>(found.cholesky.Nonzeros()));
   EXPECT_NEAR(given.chi2, found.chi2, 1e-9 * found.chi2);
-  in_order.order.pop_back();
   in_order.order.front() = in_order.order.back();
+  EXPECT_THROW(SolveBatch(graph, start.T_world_body, in_order), std::invalid_argument);
+  in_order.order.pop_back();
   EXPECT_THROW(SolveBatch(graph, start.T_world_body, in_order), std::invalid_argument);
 }
 
 TEST(StartValuesTest, ThreadsChangeNothing) {
   const auto graph = Manhattan(800, 5);
-  const auto one = ChooseStart(graph), two = ChooseStart(graph, {2, {}});
+  const auto one = ChooseStart(graph), two = ChooseStart(graph, {2, {}, {}, {}});
   ASSERT_EQ(one.T_world_body.size(), two.T_world_body.size());
   for (std::size_t k = 0; k < one.T_world_body.size(); ++k) {
     EXPECT_EQ(one.T_world_body[k].Translation(), two.T_world_body[k].Translation());
@@ -145,7 +151,9 @@ bool SameBits(const std::vector<SE2>& a, const std::vector<SE2>& b) {
 TEST(StartValuesTest, SolveBatchChoosesItsStart) {
   const auto graph = Manhattan(400, 7);
   const auto choice = ChooseStart(graph);
-  const auto solved = SolveBatch(graph), by_hand = SolveBatch(graph, choice.T_world_body);
+  BatchOptions in_order;
+  in_order.order = choice.order;
+  const auto solved = SolveBatch(graph), by_hand = SolveBatch(graph, choice.T_world_body, in_order);
   EXPECT_TRUE(solved.Converged());
   EXPECT_TRUE(SameBits(solved.T_world_body, by_hand.T_world_body));
   EXPECT_EQ(solved.iterations, by_hand.iterations);

@@ -44,11 +44,16 @@ class Problem {
   Problem& operator=(const Problem&) = delete;
 
   typename BlockCholesky<B>::Changes Everything(const std::vector<Pose>& values) {
+    double cost = 0, chi2 = 0;
+    return Everything(values, cost, chi2);
+  }
+  // The same, and what Cost says, as LinearizeTerms.
+  typename BlockCholesky<B>::Changes Everything(const std::vector<Pose>& values, double& cost, double& chi2) {
     Populate();
     if (!has_gauge_) SetGauge(FindGauge(graph_, values));
     typename BlockCholesky<B>::Changes all;
     all.new_variables = static_cast<int>(graph_.Poses().size());
-    all.added = LinearizeTerms(values);
+    cost = LinearizeTerms(values, all.added, chi2);
     return all;
   }
 
@@ -66,7 +71,7 @@ class Problem {
     LinearizeTerms(values, out, chi2);
     return out;
   }
-  // The same, and what Cost says.
+  // The same, and what Cost says, but for rounding: costs that are compared have to come from the same of the two.
   double LinearizeTerms(const std::vector<Pose>& values, std::vector<LinearFactor<B>>& out, double& chi2) const {
     struct Sums {
       double chi2 = 0, cost = 0;

@@ -53,6 +53,9 @@ class Run {
     if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
     result_.T_world_body = initial;
     PrepareCholesky();
+    if (!options.order.empty() && options.order.size() != initial.size()) {
+      throw std::invalid_argument("an elimination order has to name every pose once");
+    }
     if (!problem_.IsRobust()) result_.cholesky.SetOrder(options.order);
   }
 
@@ -61,15 +64,11 @@ class Run {
     if (options_.robust.kernel == RobustKernel::kGnc && !options_.graduate) {
       problem_.HoldWeights(result_.T_world_body, std::numeric_limits<double>::infinity());
     }
-    cost_ = problem_.Cost(result_.T_world_body, result_.chi2);
-    Log(options_.log, LogLevel::kInfo, "batch: ", graph_.Poses().size(), " poses, ", graph_.Factors().size(),
-        " factors, chi2 ", result_.chi2);
-    if (!std::isfinite(cost_)) {
-      Finish(Termination::kDiverged, "chi2 is not finite at the initial values");
-    } else if (BuildFactor()) {
+    if (BuildFactor()) {
       if (options_.robust.kernel == RobustKernel::kGnc) Graduate();
       if (!singular_) Iterate();
     }
+    problem_.Cost(result_.T_world_body, result_.chi2);  // as everyone else sums it, to the last bit
     result_.robust_cost = problem_.IsRobust() ? problem_.RobustCost(result_.T_world_body) : result_.chi2;
     if (problem_.IsRobust()) result_.robust_width = problem_.Width();
     if (problem_.IsRobust()) result_.weights = problem_.WeightsAt(result_.T_world_body);
@@ -98,7 +97,13 @@ class Run {
     typename BlockCholesky<B>::Changes everything;
     {
       ScopedTimer timer(result_.seconds.linearise);
-      everything = problem_.Everything(result_.T_world_body);
+      everything = problem_.Everything(result_.T_world_body, cost_, result_.chi2);
+    }
+    Log(options_.log, LogLevel::kInfo, "batch: ", graph_.Poses().size(), " poses, ", graph_.Factors().size(),
+        " factors, chi2 ", result_.chi2);
+    if (!std::isfinite(cost_)) {
+      Finish(Termination::kDiverged, "chi2 is not finite at the initial values");
+      return false;
     }
     double seconds = 0;
     typename BlockCholesky<B>::UpdateReport report;
@@ -140,7 +145,6 @@ class Run {
   int Reweigh(double mu) {
     const int changed = problem_.HoldWeights(result_.T_world_body, mu);
     Log(options_.log, LogLevel::kDebug, "batch: robust stage mu ", mu, ": ", changed, " weights changed");
-    cost_ = problem_.Cost(result_.T_world_body, result_.chi2);
     ForgetLinearisation();
     climbing_ = 0;
     damping_control_ = Damping();
@@ -148,6 +152,9 @@ class Run {
       Log(options_.log, LogLevel::kDebug, "batch: the factor is ordered anew for the loops that have weight");
       PrepareCholesky();
       if (BuildFactor()) linearised_here_ = factored_here_ = true;
+    } else {
+      cost_ = problem_.LinearizeTerms(result_.T_world_body, next_, result_.chi2);
+      next_is_here_ = true;
     }
     return changed;
   }

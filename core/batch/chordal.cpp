@@ -1,5 +1,7 @@
 #include "batch/chordal.h"
 
+#include <algorithm>
+#include <cmath>
 #include <utility>
 #include <variant>
 
@@ -101,6 +103,9 @@ class LeastSquares {
       throw NumericalError("chordal initial values: the linear system is singular");
     }
     SolveDense(factor_.Tree(), X_, Stride(columns_));
+    if (!std::all_of(X_.begin(), X_.end(), [](double x) { return std::isfinite(x); })) {
+      throw NumericalError("chordal initial values: the solution is not finite");
+    }
     std::vector<Columns<D>> X;
     X.reserve(poses_);
     for (std::size_t k = 0; k < poses_; ++k) X.push_back(RightSide(static_cast<int>(k)));

@@ -38,6 +38,9 @@ class Comparison {
   Comparison(const PoseGraph<Pose>& graph, const StartOptions& options)
       : graph_(graph), problem_(graph, options.threads), options_(options) {
     if (options_.order.empty()) options_.order = EliminationOrder(graph);
+    if (options_.order.size() != graph.Poses().size()) {
+      throw std::invalid_argument("an elimination order has to name every pose once");
+    }
     factor_.SetOrder(options_.order);
     factor_.SetThreads(options.threads);
     factor_.DropUpdateMatrices();

@@ -212,6 +212,7 @@ int BlockCholesky<B>::UpdateTreePrepared(const typename BlockSystem<B>::Undo& un
 
 template <int B>
 void BlockCholesky<B>::Prepare(const std::vector<std::pair<int, LinearFactor<B>>>& replaced) {
+  if (parts_->numbers.HasDropped()) throw std::logic_error("without update matrices nothing is made ready in pieces");
   parts_->prepared.Replace(replaced, system_, version_);
 }
 

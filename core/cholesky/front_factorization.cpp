@@ -18,9 +18,6 @@ using std::size_t;
 constexpr double kSingular = 4e-15;
 constexpr double kParallelFlops = 2e7;  // from which it pays to wake other threads
 
-// To give away a smaller update matrix, scalars, takes longer than to keep it.
-constexpr size_t kLeastDropped = 128;
-
 // Sum of the squared column counts.
 double FactorFlops(double rows, double pivots) {
   double flops = 0;
@@ -293,7 +290,7 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
     failed[At(k)] = FactorFront(*fronts[At(k)], from, scratch, parallel);
     children.ForEach(k, [&](int child) {
       std::vector<double>& update = fronts[At(child)]->update;
-      if (update.size() >= kLeastDropped) scratch.updates.Give(std::move(update));
+      if (update.size() >= ShortLivedBuffers::kLeast) scratch.updates.Give(std::move(update));
     });
     while (failed[At(k)] >= 0 && k < seen && !end.compare_exchange_weak(seen, k)) continue;
     share.Add(*fronts[At(k)]);

@@ -173,8 +173,8 @@ void Region<B>::OrderNewestLast(const UpdateContext<B>& update, Couplings& coupl
 template <int B>
 typename Region<B>::Couplings Region<B>::Order(const UpdateContext<B>& update) {
   Couplings out = Collect(update);
-  if (fronts_.empty() && first_order_.size() == variables_.size() && !variables_.empty()) {
-    out.fronts = EliminateInOrder(out.cliques, std::exchange(first_order_, {}));
+  if (update.undo.variables == 0 && first_order_.size() == variables_.size() && !variables_.empty()) {
+    out.fronts = EliminateInOrder(out.cliques, first_order_);
     return out;
   }
   OrderNewestLast(update, out);

@@ -88,6 +88,7 @@ bool LoopJudge<Pose>::AdmitLocalSlip(Loop newcomer, StepContext<Pose>& step) {
   if (at_stake <= kSlipPrice * limit_) return false;
   if (others.size() > kMostLoops) others.erase(others.begin(), others.end() - static_cast<long>(kMostLoops));
   const auto is_loop = [&](int slot) { return At(slot).is_loop != 0; };
+  if (newcomer.z.empty()) newcomer.z = SolveForward(map.Cholesky().Tree(), newcomer.linear);
   double lowest = -kLeastGainOfSlip * limit_;
   Slip<Pose> slip;
   for (const int v : starts) {
@@ -96,7 +97,6 @@ bool LoopJudge<Pose>::AdmitLocalSlip(Loop newcomer, StepContext<Pose>& step) {
     Loops contest = {Loop(map.IdAt(slot), map), newcomer};
     // Without the odometry the newcomer is near what others say, or else it contradicts them as well.
     Contest<B> pair = ContestOf(contest, map);
-    newcomer.z = contest[1].z;
     if (pair.Leverage(0) <= kMostLocalLeverage && pair.Flip(0) && pair.Innovation(1) > kNearOthers * limit_) continue;
     if (PlacesAcross(v, LoopsIn(map), map) < kLeastPlaces) continue;
     contest.insert(contest.end(), others.begin(), others.end());

@@ -1,5 +1,7 @@
 #include "commands/start.h"
 
+#include "terse/core/elimination_order.h"
+
 namespace terse {
 namespace {
 
@@ -28,14 +30,12 @@ template <class Pose>
 std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, BatchOptions& options,
                               nlohmann::ordered_json& stats) {
   const bool automatic = method == InitialValues::kAuto;
-  StartChoice<Pose> start =
-      automatic ? StartFor(graph, options)
-                : StartChoice<Pose>{
-                      method,
-                      ComputeInitialValues(graph, method, {options.threads, options.log, options.factor_progress, {}}),
-                      {},
-                      {}};
-  options.order = std::move(start.order);
+  StartOptions start_options{options.threads, options.log, options.factor_progress, {}};
+  if (method == InitialValues::kChordal) start_options.order = options.order = EliminationOrder(graph);
+  StartChoice<Pose> start = automatic
+                                ? StartFor(graph, options)
+                                : StartChoice<Pose>{method, ComputeInitialValues(graph, method, start_options), {}, {}};
+  if (automatic) options.order = std::move(start.order);
   DescribeStart(start.chosen, automatic, start.trials, stats);
   return std::move(start.T_world_body);
 }

@@ -1,9 +1,9 @@
 #pragma once
 // Buffers that fronts hand on to one another: no page of a large one is touched only to be zeroed.
 
-#include <algorithm>
 #include <cstddef>
 #include <map>
+#include <utility>
 #include <vector>
 
 namespace terse::internal {
@@ -58,39 +58,36 @@ class BufferPool {
 };
 
 // For buffers that live shortly, of sizes that never come again: the smallest that is long enough is taken, so that few
-// are in use, which stay in the caches. A copy of a pool is empty.
+// are in use, which stay in the caches. A copy of a pool is empty, and so is one that it was moved to.
 class ShortLivedBuffers {
  public:
+  static constexpr std::size_t kLeast = 128;  // scalars: smaller ones are not worth it
   ShortLivedBuffers() = default;
-  ShortLivedBuffers(const ShortLivedBuffers&) {}
-  ShortLivedBuffers(ShortLivedBuffers&&) noexcept = default;
-  ShortLivedBuffers& operator=(const ShortLivedBuffers&) { return *this; }
-  ShortLivedBuffers& operator=(ShortLivedBuffers&&) noexcept = default;
+  ShortLivedBuffers(const ShortLivedBuffers&) noexcept {}
+  ShortLivedBuffers& operator=(const ShortLivedBuffers&) noexcept { return *this; }
   ~ShortLivedBuffers() = default;
 
   // At least `size` long; holds anything.
   std::vector<double> Take(std::size_t size) {
-    const auto it = Place(size);
-    if (it == free_.end()) return std::vector<double>(size + size / 8);
-    std::vector<double> out = std::move(*it);
+    if (size < kLeast || size > kMost) return std::vector<double>(size);
+    const auto it = free_.lower_bound(size);
+    if (it == free_.end() || it->first > kFit * size) return std::vector<double>(size + size / 8);
+    std::vector<double> out = std::move(it->second);
     free_.erase(it);
     scalars_ -= out.size();
     return out;
   }
   // What there is no room for is freed.
   void Give(std::vector<double>&& buffer) {
-    if (buffer.empty() || scalars_ + buffer.size() > kMost) return std::vector<double>().swap(buffer);
-    scalars_ += buffer.size();
-    free_.insert(Place(buffer.size()), std::move(buffer));
+    const std::size_t size = buffer.size();
+    if (size < kLeast || scalars_ + size > kMost) return std::vector<double>().swap(buffer);
+    scalars_ += size;
+    free_.emplace(size, std::move(buffer));
   }
 
  private:
-  static constexpr std::size_t kMost = 16000000;  // scalars: 128 MB
-  std::vector<std::vector<double>>::iterator Place(std::size_t size) {
-    return std::lower_bound(free_.begin(), free_.end(), size,
-                            [](const std::vector<double>& buffer, std::size_t x) { return buffer.size() < x; });
-  }
-  std::vector<std::vector<double>> free_;  // by length
+  static constexpr std::size_t kMost = 4000000, kFit = 4;  // scalars in all; times what is wanted
+  std::multimap<std::size_t, std::vector<double>> free_;   // by length
   std::size_t scalars_ = 0;
 };
 
