@@ -93,7 +93,7 @@ TEST(StepBudget, SmallMapsDoNotLookAtTheClock) {
 }
 
 TEST(StepBudget, ManhattanComesToTheSameMap) {
-  for (const std::uint64_t seed : {3, 4, 5}) {
+  for (const std::uint64_t seed : {3U, 4U, 5U}) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     ExpectSameMap(World<SE2>(Scene::kManhattan, 400, seed), 1e-9);
   }

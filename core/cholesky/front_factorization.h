@@ -83,8 +83,8 @@ class FrontFactorization {
     std::vector<int> at, run_end;  // by separator of a child
     ShortLivedBuffers updates;     // where none is kept
   };
-  // scratch: of the calling thread. May run for several fronts at once, if parallel also with threads of its own inside
-  // one.
+  // May run for several fronts at once, if parallel also with threads of its own inside one. scratch: of the calling
+  // thread, which takes no other front while it waits for those (ForEachChunk).
   static int FactorFront(Front<B>& front, const Sources& from, Scratch& scratch, bool parallel);
   enum class Part { kPanel, kUpdate };
   static void Assemble(Part part, Front<B>& front, const Sources& from, Scratch& scratch);
