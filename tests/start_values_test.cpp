@@ -129,6 +129,10 @@ TEST(StartValuesTest, OneOrderServesAllFactorisations) {
   in_order.order.front() = in_order.order.back();
   EXPECT_THROW(SolveBatch(graph, start.T_world_body, in_order), std::invalid_argument);
   in_order.order.pop_back();
+  StartOptions short_order;
+  short_order.order = in_order.order;
+  EXPECT_THROW(ComputeInitialValues(graph, InitialValues::kChordal, short_order), std::invalid_argument);
+  EXPECT_THROW(ChooseStart(graph, short_order), std::invalid_argument);
   EXPECT_THROW(SolveBatch(graph, start.T_world_body, in_order), std::invalid_argument);
 }
 

@@ -8,6 +8,7 @@
 #include <stdexcept>
 
 #include "batch/batch_problem.h"
+#include "cholesky/elimination.h"
 #include "incremental/loop_selection.h"
 #include "support/stopwatch.h"
 #include "terse/core/atomic_file.h"
@@ -53,9 +54,7 @@ class Run {
     if (initial.size() != graph.Poses().size()) throw std::invalid_argument("one initial value per pose is needed");
     result_.T_world_body = initial;
     PrepareCholesky();
-    if (!options.order.empty() && options.order.size() != initial.size()) {
-      throw std::invalid_argument("an elimination order has to name every pose once");
-    }
+    internal::RequireOrder(options.order, initial.size());
     if (!problem_.IsRobust()) result_.cholesky.SetOrder(options.order);
   }
 
@@ -64,7 +63,10 @@ class Run {
     if (options_.robust.kernel == RobustKernel::kGnc && !options_.graduate) {
       problem_.HoldWeights(result_.T_world_body, std::numeric_limits<double>::infinity());
     }
-    if (BuildFactor()) {
+    const bool is_built = BuildFactor();
+    Log(options_.log, LogLevel::kInfo, "batch: ", graph_.Poses().size(), " poses, ", graph_.Factors().size(),
+        " factors, chi2 ", result_.chi2);
+    if (is_built) {
       if (options_.robust.kernel == RobustKernel::kGnc) Graduate();
       if (!singular_) Iterate();
     }
@@ -99,8 +101,6 @@ class Run {
       ScopedTimer timer(result_.seconds.linearise);
       everything = problem_.Everything(result_.T_world_body, cost_, result_.chi2);
     }
-    Log(options_.log, LogLevel::kInfo, "batch: ", graph_.Poses().size(), " poses, ", graph_.Factors().size(),
-        " factors, chi2 ", result_.chi2);
     if (!std::isfinite(cost_)) {
       Finish(Termination::kDiverged, "chi2 is not finite at the initial values");
       return false;
@@ -114,6 +114,7 @@ class Run {
     result_.seconds.order += report.seconds_order;
     result_.seconds.factor += seconds - report.seconds_order;
     if (!report.ok) FinishSingular(std::move(everything.added), report.failed_variable);
+    if (report.ok) ready_ = Ready::kFactored;
     return report.ok;
   }
 
@@ -145,16 +146,16 @@ class Run {
   int Reweigh(double mu) {
     const int changed = problem_.HoldWeights(result_.T_world_body, mu);
     Log(options_.log, LogLevel::kDebug, "batch: robust stage mu ", mu, ": ", changed, " weights changed");
-    ForgetLinearisation();
+    ready_ = Ready::kNothing;
     climbing_ = 0;
     damping_control_ = Damping();
     if (problem_.IsOutdated()) {
       Log(options_.log, LogLevel::kDebug, "batch: the factor is ordered anew for the loops that have weight");
       PrepareCholesky();
-      if (BuildFactor()) linearised_here_ = factored_here_ = true;
+      BuildFactor();
     } else {
       cost_ = problem_.LinearizeTerms(result_.T_world_body, next_, result_.chi2);
-      next_is_here_ = true;
+      ready_ = Ready::kNext;
     }
     return changed;
   }
@@ -187,7 +188,7 @@ class Run {
     if (found.root == problem_.CurrentGauge().root) return;
     const Gauge<Pose> before = problem_.CurrentGauge();
     problem_.SetGauge(found);
-    ForgetLinearisation();
+    ready_ = Ready::kNothing;
     const bool lets_go = found.free_shifts < before.free_shifts || found.free_turns < before.free_turns;
     if (!lets_go || !result_.Converged() || result_.iterations >= options_.max_iterations) return;
     Log(options_.log, LogLevel::kInfo, "batch: the priors determine more of the frame than at the start, going on");
@@ -199,44 +200,43 @@ class Run {
     Descend(options_.max_iterations);
     UpdateGauge();
     // The factor that is handed out is the undamped one at the final values.
-    if (!factored_here_) factored_here_ = RefactorAt(0);
+    bool is_factored = ready_ == Ready::kFactored || RefactorAt(0);
     result_.gradient_norm = LargestEntry(result_.cholesky.System().Gradient());
-    if (!factored_here_) {
+    if (!is_factored) {
       // Another order may round better; or it says what is free.
       Log(options_.log, LogLevel::kInfo, "batch: not positive definite at the optimum, the factor is ordered anew");
       PrepareCholesky();
-      factored_here_ = BuildFactor();
+      is_factored = BuildFactor();
     }
-    if (!factored_here_) return;
+    if (!is_factored) return;
     result_.cholesky.Solve();
     result_.log_determinant = result_.cholesky.LogDeterminant();
   }
 
   bool RefactorAt(double lambda) {
-    if (!linearised_here_) {
+    if (ready_ < Ready::kLinearised) {
       ScopedTimer timer(result_.seconds.linearise);
       double chi2 = 0;
-      if (!next_is_here_) problem_.LinearizeTerms(result_.T_world_body, next_, chi2);
+      if (ready_ != Ready::kNext) problem_.LinearizeTerms(result_.T_world_body, next_, chi2);
       result_.cholesky.ExchangeLinearFactors(next_);
-      linearised_here_ = true;
-      next_is_here_ = false;
     }
+    ready_ = Ready::kLinearised;
     ScopedTimer timer(result_.seconds.factor);
     damping_.clear();
     if (lambda > 0) {
       damping_ = result_.cholesky.System().Diagonal();
       for (double& x : damping_) x = lambda * std::max(x, 1e-12);
     }
-    return result_.cholesky.Refactor(damping_);
+    if (!result_.cholesky.Refactor(damping_)) return false;
+    if (lambda == 0) ready_ = Ready::kFactored;
+    return true;
   }
 
   void TakeStep() {
     ++result_.iterations;
     const double lambda = damping_control_.Lambda();
-    if (!factored_here_ || lambda > 0) {
-      factored_here_ = false;
-      if (!RefactorAt(lambda)) return Reject("the system is not positive definite");
-      factored_here_ = lambda == 0;
+    if ((ready_ != Ready::kFactored || lambda > 0) && !RefactorAt(lambda)) {
+      return Reject("the system is not positive definite");
     }
     std::vector<double> d;
     {
@@ -290,10 +290,8 @@ class Run {
     result_.T_world_body = std::move(state.values);
     result_.chi2 = state.chi2;
     cost_ = state.cost;
-    ForgetLinearisation();
-    next_is_here_ = state.is_next;
+    ready_ = state.is_next ? Ready::kNext : Ready::kNothing;
   }
-  void ForgetLinearisation() { linearised_here_ = factored_here_ = next_is_here_ = false; }
 
   // Stiff odometry makes curved valleys, which a solver that only descends crawls along. Full steps may therefore
   // climb for a few iterations; if they do not come out below where they set off, damping takes over from there.
@@ -335,10 +333,10 @@ class Run {
   std::optional<State> best_;  // where full steps began to climb
   int climbing_ = 0;
   bool done_ = false, singular_ = false;
-  bool linearised_here_ = true;        // the factor's linear factors are those of the current values
-  bool factored_here_ = true;          // and it is factored without damping
-  std::vector<LinearFactor<B>> next_;  // of a trial
-  bool next_is_here_ = false;          // that became the current values
+  // What there is for the current values: the linearisation in next_, or in the factor, or that factored undamped.
+  enum class Ready { kNothing, kNext, kLinearised, kFactored };
+  Ready ready_ = Ready::kNothing;
+  std::vector<LinearFactor<B>> next_;
 };
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <variant>
 
 #include "batch/chordal_problem.h"
+#include "cholesky/elimination.h"
 #include "terse/core/block_cholesky.h"
 #include "terse/core/elimination_order.h"
 #include "terse/core/error.h"
@@ -142,6 +143,7 @@ std::vector<Pose> ChordalValues(const PoseGraph<Pose>& graph, int first, const P
                                 const StartOptions& given) {
   StartOptions options = given;
   if (options.order.empty()) options.order = EliminationOrder(graph);
+  RequireOrder(options.order, graph.Poses().size());
   return ChordalStart(MeasurementsOf<Pose>(graph), first, T_world_first,
                       [&](int columns) { return LeastSquares<Pose::kDim>(graph.Poses().size(), columns, options); });
 }

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "batch/batch_problem.h"
+#include "cholesky/elimination.h"
 #include "terse/core/elimination_order.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
@@ -38,9 +39,7 @@ class Comparison {
   Comparison(const PoseGraph<Pose>& graph, const StartOptions& options)
       : graph_(graph), problem_(graph, options.threads), options_(options) {
     if (options_.order.empty()) options_.order = EliminationOrder(graph);
-    if (options_.order.size() != graph.Poses().size()) {
-      throw std::invalid_argument("an elimination order has to name every pose once");
-    }
+    internal::RequireOrder(options_.order, graph.Poses().size());
     factor_.SetOrder(options_.order);
     factor_.SetThreads(options.threads);
     factor_.DropUpdateMatrices();

@@ -71,10 +71,6 @@ void AddBlocks(double* to, long ldt, const double* from, long ldf, const int* at
     }
     for (int i = end; i < blocks; i = end) {
       end = run_end[i];
-      if (end == i + 1) {
-        for (int c = 0; c < B; ++c) AddRun(target + c * ldt + at[i], source + c * ldf + i * B, B);
-        continue;
-      }
       for (int c = 0; c < B; ++c) AddRun(target + c * ldt + at[i], source + c * ldf + i * B, (end - i) * B);
     }
     for (int c = 0; c < B; ++c) target[c * ldt + rhs] += source[c * ldf + blocks * B];

@@ -1,6 +1,8 @@
 #include "cholesky/elimination.h"
 
 #include <algorithm>
+#include <stdexcept>
+#include <string>
 #include <utility>
 
 #include "terse/core/at.h"
@@ -165,6 +167,12 @@ FactorCost CostOf(const std::vector<SymbolicFront>& fronts) {
                        front.parent >= 0 ? path[At(front.parent)] : 0.0);
   }
   return cost;
+}
+
+void RequireOrder(const std::vector<int>& order, size_t variables) {
+  if (order.empty() || order.size() == variables) return;
+  throw std::invalid_argument("an elimination order of " + std::to_string(order.size()) + " poses is given for " +
+                              std::to_string(variables));
 }
 
 std::vector<SymbolicFront> EliminateInOrder(const Cliques& cliques, std::vector<int> order) {

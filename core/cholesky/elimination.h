@@ -5,6 +5,7 @@
 // its pivots at once; its separators are the later variables that this couples. Small fronts are merged into their
 // parent where that adds few zeros.
 
+#include <cstddef>
 #include <vector>
 
 #include "cholesky/ordering.h"
@@ -32,8 +33,12 @@ FactorCost CostOf(const std::vector<SymbolicFront>& fronts);
 enum class OrderFor { kSolving, kUpdates };
 
 // Fronts with children before parents; every clique is a subset of its front's pivots and separators.
+// In an order that is given, or one that is looked for.
 std::vector<SymbolicFront> EliminateInOrder(const Cliques& cliques, std::vector<int> order);
 std::vector<SymbolicFront> Eliminate(int variables, const Cliques& cliques, const std::vector<char>& order_last,
                                      OrderFor purpose);
+
+// Throws std::invalid_argument if an order is given that is not of so many variables.
+void RequireOrder(const std::vector<int>& order, std::size_t variables);
 
 }  // namespace terse::internal
