@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <random>
 
 #include "terse/core/batch_solver.h"
 #include "terse/core/elimination_order.h"
@@ -126,6 +127,12 @@ TEST(StartValuesTest, OneOrderServesAllFactorisations) {
                          found = SolveBatch(graph, start.T_world_body, BatchOptions());
   EXPECT_LE(static_cast<double>(given.cholesky.Nonzeros()), 1.05 * static_cast<double>(found.cholesky.Nonzeros()));
   EXPECT_NEAR(given.chi2, found.chi2, 1e-9 * found.chi2);
+  // One that fills the factor shows that it is used.
+  std::mt19937_64 rng(5);
+  std::shuffle(in_order.order.begin(), in_order.order.end(), rng);
+  const BatchResult<SE2> filled = SolveBatch(graph, start.T_world_body, in_order);
+  EXPECT_GT(filled.cholesky.Nonzeros(), 2 * found.cholesky.Nonzeros());
+  EXPECT_NEAR(filled.chi2, found.chi2, 1e-9 * found.chi2);
   in_order.order.front() = in_order.order.back();
   EXPECT_THROW(SolveBatch(graph, start.T_world_body, in_order), std::invalid_argument);
   in_order.order.pop_back();
