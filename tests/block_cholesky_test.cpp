@@ -1,6 +1,7 @@
 // The multifrontal factor against dense linear algebra, after every change of a random graph.
 
 #include "terse/core/block_cholesky.h"
+#include "terse/core/buffer_pool.h"
 
 #include <gtest/gtest.h>
 
@@ -221,6 +222,37 @@ TEST(BlockCholesky, ThresholdBoundsTheErrorOfTheSolution) {
     // A value stays behind by at most the threshold, seen from separators that stay behind likewise.
     EXPECT_LT((d - x).cwiseAbs().maxCoeff(), 0.1);
   }
+}
+
+// Fronts that grow leave buffers behind of sizes that are not asked for again.
+TEST(BufferPool, HoldsAFewTimesItsLargestBuffer) {
+  internal::BufferPool pool;
+  std::size_t given = 0, largest = 0;
+  for (std::size_t size = 1000; size < 200000; size += size / 8) {
+    for (int k = 0; k < 4; ++k) {
+      std::vector<double> buffer = pool.Take(size);
+      ASSERT_GE(buffer.size(), size);
+      EXPECT_LE(buffer.size(), size + 3 * size / 8 + 1);
+      largest = std::max(largest, buffer.size());
+      given += buffer.size();
+      pool.MakeRoom(buffer.size());
+      std::vector<double> another(buffer.size());
+      pool.Give(std::move(buffer));
+      pool.Give(std::move(another));
+      EXPECT_LE(pool.Scalars(), std::max<std::size_t>(4 * largest, 1 << 17));
+    }
+  }
+  EXPECT_GT(given, 8 * largest);
+  EXPECT_GT(pool.Scalars(), largest);
+  // What was given last is given out first, and not twice.
+  const std::size_t before = pool.Scalars();
+  const std::vector<double> taken = pool.Take(largest);
+  EXPECT_EQ(pool.Scalars(), before - taken.size());
+  EXPECT_EQ(internal::BufferPool(pool).Scalars(), 0u);
+  internal::BufferPool moved(std::move(pool));
+  EXPECT_EQ(moved.Scalars(), before - taken.size());
+  moved = internal::BufferPool();
+  EXPECT_EQ(moved.Scalars(), 0u);
 }
 
 }  // namespace
