@@ -155,21 +155,34 @@ void GraphReplay<Pose>::Build(const PoseGraph<Pose>& graph, const std::vector<Ar
     const auto odometry = std::max_element(edges[k].begin(), edges[k].end(),
                                            [&](const auto* a, const auto* b) { return earlier(a) < earlier(b); });
     if (odometry == edges[k].end()) continue;  // the first pose
-    inputs_[k].odometry = **odometry;
+    CompactInput<Pose>& input = inputs_[k];
+    input.odometry = **odometry;
+    input.linkable->reserve(edges[k].size() - 1);
+    input.loops->reserve(edges[k].size() - 1);
     for (const auto* edge : edges[k]) {
       if (edge == *odometry) continue;
-      inputs_[k].linkable->push_back(edge->from == inputs_[k].id ? edge->to : edge->from);
-      inputs_[k].loops->push_back(*edge);
-      waiting_[Pair(edge->from, edge->to)].push_back(static_cast<int>(links_.size()));
-      links_.push_back(*edge);
-      owner_.push_back(static_cast<int>(k));
+      links_.push_back({static_cast<int>(k), static_cast<int>(input.loops->size())});
+      input.linkable->push_back(edge->from == input.id ? edge->to : edge->from);
+      input.loops->push_back(*edge);
     }
   }
-  for (auto& [pair, list] : waiting_) std::reverse(list.begin(), list.end());
+}
+
+template <class Pose>
+const RelativePoseFactor<Pose>& GraphReplay<Pose>::Link(int k) const {
+  if (!all_links_.empty()) return all_links_[At(k)];
+  const Place& place = links_[At(k)];
+  return (*inputs_[At(place.input)].loops)[At(place.loop)];
 }
 
 template <class Pose>
 void GraphReplay<Pose>::Choose(const std::vector<int>& poses, const std::vector<int>& links) {
+  if (all_links_.empty()) {
+    std::vector<RelativePoseFactor<Pose>> all;
+    all.reserve(links_.size());
+    for (int k = 0; k < LinksOffered(); ++k) all.push_back(Link(k));
+    all_links_ = std::move(all);
+  }
   for (auto& input : inputs_) {
     input.keep = false;
     input.linkable.emplace();
@@ -177,8 +190,8 @@ void GraphReplay<Pose>::Choose(const std::vector<int>& poses, const std::vector<
   }
   for (const int k : poses) inputs_[At(k)].keep = true;
   for (const int k : links) {
-    CompactInput<Pose>& input = inputs_[At(owner_[At(k)])];
-    const RelativePoseFactor<Pose>& link = links_[At(k)];
+    CompactInput<Pose>& input = inputs_[At(links_[At(k)].input)];
+    const RelativePoseFactor<Pose>& link = Link(k);
     input.linkable->push_back(link.from == input.id ? link.to : link.from);
     input.loops->push_back(link);
   }
@@ -186,10 +199,12 @@ void GraphReplay<Pose>::Choose(const std::vector<int>& poses, const std::vector<
 
 template <class Pose>
 Registration<Pose> GraphReplay<Pose>::AsRegistration() {
+  for (int k = LinksOffered() - 1; k >= 0 && !waits_; --k) waiting_[Pair(Link(k).from, Link(k).to)].push_back(k);
+  waits_ = true;
   return [this](PoseId candidate, PoseId current) -> std::optional<RelativePoseFactor<Pose>> {
     const auto it = waiting_.find(Pair(candidate, current));
     if (it == waiting_.end() || it->second.empty()) return std::nullopt;
-    const RelativePoseFactor<Pose>& link = links_[At(it->second.back())];
+    const RelativePoseFactor<Pose>& link = Link(it->second.back());
     it->second.pop_back();
     return link;
   };
@@ -197,21 +212,32 @@ Registration<Pose> GraphReplay<Pose>::AsRegistration() {
 
 template <class Pose>
 Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const DistanceOptions& options) const {
-  return LinkRange(links_, options);
+  const auto all = [this](const auto& visit) {
+    for (int k = 0; k < LinksOffered(); ++k) visit(Link(k));
+  };
+  return RangeOf(all, links_.empty(), options);
 }
 
 template <class Pose>
 Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::LinkRange(const std::vector<RelativePoseFactor<Pose>>& links,
                                                                const DistanceOptions& options) const {
+  const auto all = [&](const auto& visit) { std::for_each(links.begin(), links.end(), visit); };
+  return RangeOf(all, links.empty(), options);
+}
+
+template <class Pose>
+template <class Links>
+Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::RangeOf(const Links& links, bool none,
+                                                             const DistanceOptions& options) const {
   std::vector<double> lengths, angles;
   const auto include = [&](const RelativePoseFactor<Pose>& edge) {
     const auto displacement = ComputeDisplacement<Pose>({edge.T_from_to}, options).mean;
     lengths.push_back(displacement.template head<Pose::kDim>().norm());
     angles.push_back(std::abs(displacement[Pose::kDim]));
   };
-  for (const auto& link : links) include(link);
+  links(include);
   for (const auto& input : inputs_) {
-    if (links.empty() && input.odometry) include(*input.odometry);
+    if (none && input.odometry) include(*input.odometry);
   }
   double reach = kMargin * MostButFew(std::move(lengths));
   if (links_.size() * kFewLinks < inputs_.size()) {
@@ -237,7 +263,7 @@ typename Pose::Jacobian GraphReplay<Pose>::LinkCovariance() const {
     sum += SeenFrom(edge.from, edge).covariance;
     ++count;
   };
-  for (const auto& link : links_) include(link);
+  for (int k = 0; k < LinksOffered(); ++k) include(Link(k));
   for (const auto& input : inputs_) {
     if (links_.empty() && input.odometry) include(*input.odometry);
   }

@@ -32,7 +32,7 @@ void DrawAtRandom(GraphReplay<Pose>& replay, int poses, int links, std::uint64_t
   std::set<std::int64_t> drawn;
   for (const int k : chosen) drawn.insert(replay.Inputs()[At(k)].id.value);
   for (int k = 0; k < replay.LinksOffered(); ++k) {
-    const RelativePoseFactor<Pose>& link = replay.Links()[At(k)];
+    const RelativePoseFactor<Pose>& link = replay.Link(k);
     if (drawn.count(link.from.value) != 0 && drawn.count(link.to.value) != 0) between.push_back(k);
   }
   Draw(between, 0, At(std::max(links, 0)), engine);

@@ -22,10 +22,10 @@ class GraphReplay {
 
   // In order of arrival. Odometry is the edge to the latest earlier pose; the other edges are links.
   const std::vector<CompactInput<Pose>>& Inputs() const { return inputs_; }
-  // The edges beside the odometry, in the order in which they come.
-  const std::vector<RelativePoseFactor<Pose>>& Links() const { return links_; }
+  // The edges beside the odometry, in the order in which they come; k from 0 to before LinksOffered().
+  const RelativePoseFactor<Pose>& Link(int k) const;
   int LinksOffered() const { return static_cast<int>(links_.size()); }
-  // For Strategy::kGiven: these poses, by their place in the order of arrival, and these of the Links().
+  // For Strategy::kGiven: these poses, by their place in the order of arrival, and these links, as Link() counts them.
   void Choose(const std::vector<int>& poses, const std::vector<int>& links);
 
   // The file as a sensor, for inputs without their `loops`: the edge between the two, each edge once: a second call
@@ -46,12 +46,20 @@ class GraphReplay {
  private:
   // Arrivals: poses and factors of `graph` in their order. Ranks of poses seen before are below 0.
   void Build(const PoseGraph<Pose>& graph, const std::vector<ArrivalStep>& steps, std::vector<int> rank);
+  // `links` is a function of a visitor, which it calls with each link that is to be covered.
+  template <class Links>
+  Vector<Displacement<Pose>::kSize> RangeOf(const Links& links, bool none, const DistanceOptions& options) const;
 
+  // There may be hundreds of links for a pose: each is stored once.
+  struct Place {
+    int input, loop;
+  };
   std::vector<CompactInput<Pose>> inputs_;
-  std::vector<RelativePoseFactor<Pose>> links_;
-  std::vector<int> owner_;  // of the links: the input that brings them in
-  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>>
-      waiting_;  // {smaller id, larger id} -> links, last first
+  std::vector<Place> links_;                         // where they stand as an input's loops
+  std::vector<RelativePoseFactor<Pose>> all_links_;  // once Choose has taken some from the inputs
+  // {smaller id, larger id} -> links, last first; since AsRegistration was called.
+  std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>> waiting_;
+  bool waits_ = false;
 };
 
 extern template class GraphReplay<SE2>;
