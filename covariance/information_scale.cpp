@@ -30,6 +30,8 @@ constexpr double kCut = 4;            // expected squares, beyond which a residu
 constexpr double kStandsOut = 9;      // times the other loops' squares: loses weight
 constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of the robust kernel
 constexpr int kStepsTogether = 2;
+constexpr int kFirstIterations = 200;  // of truncated least squares
+constexpr double kTolerance = 1e-4;    // relative, of chi2
 // Scales that moved by less keep the loops that are in as a start; logarithm.
 constexpr double kMovesLittle = 0.3;
 // Standard deviations that are stated too small by less than this leave most loops within the width above.
@@ -247,7 +249,7 @@ class Estimator {
     // count then, and odometry cannot be told from loops.
     for (const Found& f : found_) out_.has_copies = out_.has_copies || f.estimate.at_floor;
     if (out_.failure.empty() && out_.has_copies) {
-      out_.loops_left_out = 0;
+      LeaveOutAsStated();
       Iterate(false);
     }
     return Report();
@@ -267,6 +269,35 @@ class Estimator {
     return largest;
   }
 
+  // Beside copies every loop that is not one stands out, so that none is taken for wrong but what truncated least
+  // squares leaves out at the information as stated, if somebody stated it and that is less than half of them.
+  void LeaveOutAsStated() {
+    for (auto& term : sample_.terms) term.weight = 1;
+    out_.loops_left_out = 0;
+    if (stated_.IsPlaceholder()) return;
+    const std::vector<Pose> composed = ComputeInitialValues(sample_.graph, InitialValues::kCompose);
+    BatchOptions solve;
+    solve.max_iterations = kFirstIterations;
+    solve.relative_tolerance = kTolerance;
+    solve.robust = TruncatedLeastSquares();
+    solve.robust_factors = LoopFactors(sample_.graph);  // a replay finds no others here, and takes longer
+    const BatchResult<Pose> result = SolveBatch(sample_.graph, composed, solve);
+    if (result.cholesky.Variables() == 0) return;
+    const auto is_out = [](double weight) { return weight < 0.5; };
+    const long left_out = std::count_if(result.weights.begin(), result.weights.end(), is_out);
+    if (left_out == 0 || 2 * left_out >= out_.loop_edges) return;
+    out_.loops_left_out = left_out;
+    for (size_t k = 0; k < sample_.terms.size(); ++k) sample_.terms[k].weight = is_out(result.weights[k]) ? 0 : 1;
+    start_ = result.T_world_body;
+  }
+
+  static RobustOptions TruncatedLeastSquares() {
+    RobustOptions robust;
+    robust.kernel = RobustKernel::kGnc;
+    robust.width = std::sqrt(ChiSquareQuantile(kTrueLoop, Pose::kDof));
+    return robust;
+  }
+
   // Residuals far larger than stated come of bad information, or of so many wrong loops that they bend all residuals
   // and none stands out. If truncated least squares keeps most loops at the information as stated, it is the others
   // that are wrong: loops do not agree by chance.
@@ -279,10 +310,7 @@ class Estimator {
     const std::vector<Pose> start = start_;
     start_ = ComputeInitialValues(sample_.graph, InitialValues::kCompose);  // wrong loops bend a relaxation
     Iterate(true, true);
-    if (out_.failure.empty() && 2 * out_.loops_left_out < out_.loop_edges) {
-      out_.normalized_chi2 = out.normalized_chi2;  // without any doubt of loops
-      return;
-    }
+    if (out_.failure.empty() && 2 * out_.loops_left_out < out_.loop_edges) return;
     found_ = found;
     out_ = out;
     start_ = start;
@@ -291,7 +319,9 @@ class Estimator {
   // `begins_suspicious`: some loops are taken for wrong from the first step on, and not more than half of them.
   void Iterate(bool is_robust, bool begins_suspicious = false) {
     log_scale_.fill(0);
-    for (auto& term : sample_.terms) term.weight = 1;
+    if (is_robust) {
+      for (auto& term : sample_.terms) term.weight = 1;
+    }
     is_suspicious_ = begins_suspicious;
     steps_suspicious_ = 0;
     std::vector<Pose> values = start_;
@@ -316,16 +346,15 @@ class Estimator {
       factor.information = internal::Scaled<Pose>(factor.information, scale);
       RelativePoseFactor<Pose> with_weight = factor;
       if (!is_suspicious_) with_weight.information *= terms[k].weight;
-      weighted.AddFactor(with_weight);
+      if (is_suspicious_ || terms[k].weight > 0) weighted.AddFactor(with_weight);
     }
     BatchOptions solve;
-    solve.max_iterations = is_first ? (is_suspicious_ ? 200 : 50) : 10;
-    solve.relative_tolerance = 1e-4;
+    solve.max_iterations = is_first ? (is_suspicious_ ? kFirstIterations : 50) : 10;
+    solve.relative_tolerance = kTolerance;
     if (is_suspicious_) {  // the kernel decides anew, by graduation: a replay trusts the information
       solve.graduate = steps_suspicious_ == 0 || LargestStep() > kMovesLittle;
       solve.robust_factors = LoopFactors(weighted);
-      solve.robust.kernel = RobustKernel::kGnc;
-      solve.robust.width = std::sqrt(ChiSquareQuantile(kTrueLoop, Pose::kDof));
+      solve.robust = TruncatedLeastSquares();
     }
     const BatchResult<Pose> result = SolveBatch(weighted, values, solve);
     if (result.cholesky.Variables() == 0) {
@@ -336,7 +365,7 @@ class Estimator {
     if (is_suspicious_) TakeWeights(result.weights, terms);
     const auto draws = internal::DrawResiduals(terms, values, result.cholesky, options_.draws, options_.seed);
     ByGroup<Group> groups = Collect(terms, values, draws);
-    if (is_first) NormalizedChi2(terms, values);
+    if (is_first && is_robust && !is_suspicious_) NormalizedChi2(terms, values);
     // While it is open which loops are wrong, odometry would take them on itself.
     const bool apart = is_robust && (!is_suspicious_ || ++steps_suspicious_ > kStepsTogether);
     if (apart) {
@@ -373,7 +402,7 @@ class Estimator {
     return groups;
   }
 
-  // At the stated information, no weights.
+  // At the stated information, without any doubt of loops.
   void NormalizedChi2(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<Pose>& values) {
     double chi2 = 0;
     for (const auto& t : terms) {

@@ -16,6 +16,7 @@
 #include "terse/core/graph_file.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/linear_factor.h"
+#include "terse/core/random.h"
 #include "terse/covariance/information_probe.h"
 #include "testing_laps.h"
 
@@ -307,6 +308,41 @@ TEST(InformationScale, ManyWrongLoopsDoNotMakeItTooCertain) {
   for (const std::uint64_t seed : {11, 12}) {
     expect_left_alone(Simulated<SE2>(Scene::kManhattan, 300, seed, 40));
     expect_left_alone(Simulated<SE3>(Scene::kSphere, 250, seed, 40));
+  }
+}
+
+// A lap of a street on whose other side the odometry turns a little too far each time, and where it is seen again,
+// odometry and loops far better than they state; and a group of wrong loops that agree with each other. No loop agrees
+// with the odometry alone.
+TEST(InformationScale, WrongLoopsBesideOnesThatAgreeTooWell) {
+  const int lap = 400;
+  const double step = 1.5, sigma_m = 0.05, sigma_rad = 1e-3, turn = 2 * std::acos(-1.0) / lap;
+  for (const std::uint64_t seed : {21, 22, 23}) {
+    for (const int wrong : {0, 4, 12}) {
+      SCOPED_TRACE(::testing::Message() << "seed " << seed << ", wrong loops " << wrong);
+      internal::Random random(seed);
+      const Matrix<3, 3> information =
+          Vector<3>(1 / (sigma_m * sigma_m), 1 / (sigma_m * sigma_m), 1 / (sigma_rad * sigma_rad)).asDiagonal();
+      PoseGraph<SE2> graph;
+      const auto add = [&](int from, int to, const SE2& T, double noise) {
+        const Vector<3> error(sigma_m * random.Normal(), sigma_m * random.Normal(), sigma_rad * random.Normal());
+        graph.AddFactor(RelativePoseFactor<SE2>{{from}, {to}, T * SE2::Exp(noise * error), information});
+      };
+      const SE2 along(step, 0, turn);
+      for (int k = 0; k < lap + lap / 4; ++k) {
+        graph.AddPose({k});
+        const double too_far = k > lap / 4 && k < lap ? 3e-4 : 0;
+        if (k > 0) add(k - 1, k, along * SE2(0, 0, too_far), 0.05);
+        if (k > lap && k % 2 == 0) add(k, k - lap, SE2(0.1, 0.5, 0), 0.05);
+        // The other side of the circle, 190 m away, taken for this one.
+        if (k > lap + 50 && k <= lap + 50 + wrong) add(k, k - lap / 2, SE2(0.1, 0.5, 0), 0.05);
+      }
+      const auto found = CalibrateInformation(graph);
+      EXPECT_LT(found.estimate.agreeing_loops, 0.3);
+      EXPECT_TRUE(found.estimate.has_copies);
+      EXPECT_EQ(found.estimate.loops_left_out, wrong);
+      EXPECT_EQ(found.verdict, InformationVerdict::kConsistent) << found.message;
+    }
   }
 }
 
