@@ -20,6 +20,9 @@ constexpr double kDoubtfulShare = 0.01;
 constexpr double kByFar = 10;
 // An explanation of so many times as many loops is better at any cost.
 constexpr double kManyMore = 1.05;
+// With so few loops, one through a kernel so many times as wide is looked at too.
+constexpr std::size_t kFewLoops = 500;
+constexpr double kWider = 2;
 // Of the variance: nobody's measurements are better than this share of what they say.
 constexpr double kLeastScale = 1e-6;
 
@@ -28,6 +31,7 @@ template <class Pose>
 struct Explanation {
   std::vector<Pose> T_world_body;
   double cost = 0;                     // truncated least squares: a loop no more than k
+  double wide_cost = 0;                // by the wider kernel
   std::vector<FactorId> contradicted;  // loops, by far
 };
 
@@ -55,17 +59,26 @@ class Judge {
   }
 
   Explanation<Pose> Weigh(std::vector<Pose> T_world_body) const {
-    Explanation<Pose> out{std::move(T_world_body), 0, {}};
+    Explanation<Pose> out{std::move(T_world_body), 0, 0, {}};
     for (const auto& node : graph_.Factors()) {
       const bool is_loop = std::binary_search(loops_.begin(), loops_.end(), node.id);
       const double chi2 = Chi2(node.factor, out.T_world_body);
       out.cost += is_loop ? std::min(chi2, k_) : chi2;
+      out.wide_cost += is_loop ? std::min(chi2, kWider * kWider * left_out_) : chi2;
       if (is_loop && chi2 > kByFar * left_out_) out.contradicted.push_back(node.id);
     }
     std::sort(out.contradicted.begin(), out.contradicted.end());
     return out;
   }
   std::size_t Loops() const { return loops_.size(); }
+  bool ExplainsManyMore(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
+    return static_cast<double>(Explained(a)) > kManyMore * static_cast<double>(Explained(b));
+  }
+  // Cheaper, and of as many loops, or of many more: with little information on loops either alone is misleading.
+  bool IsBetter(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
+    return (a.cost < b.cost && Explained(a) >= Explained(b)) || ExplainsManyMore(a, b);
+  }
+  std::size_t Explained(const Explanation<Pose>& by) const { return loops_.size() - by.contradicted.size(); }
 
  private:
   double Chi2(const Factor<Pose>& factor, const std::vector<Pose>& values) const {
@@ -112,13 +125,8 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
     return judge.Weigh(SolveBatch(graph, T_world_body, next_to).T_world_body);
   };
   Explanation<Pose> best = explain_next_to(solved.T_world_body);
-  // Cheaper, and of as many loops, or of many more: with little information on loops either alone is misleading.
   const auto keep_if_better = [&](Explanation<Pose> other) {
-    const auto explained = [&](const Explanation<Pose>& by) {
-      return static_cast<double>(judge.Loops() - by.contradicted.size());
-    };
-    const bool is_as_good = other.cost < best.cost && explained(other) >= explained(best);
-    if (is_as_good || explained(other) > kManyMore * explained(best)) best = std::move(other);
+    if (judge.IsBetter(other, best)) best = std::move(other);
   };
 
   keep_if_better(explain_next_to(ValuesOf(first.slam, graph)));
@@ -127,8 +135,16 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
   std::vector<FactorId> explained_alone;
   std::set_difference(unsupported.begin(), unsupported.end(), best.contradicted.begin(), best.contradicted.end(),
                       std::back_inserter(explained_alone));
-  if (2 * explained_alone.size() >= judge.Loops() - best.contradicted.size()) {
+  if (2 * explained_alone.size() >= judge.Explained(best)) {
     keep_if_better(judge.Weigh(SolveBatch(graph, options).T_world_body));
+  }
+
+  // A few true loops in the tail of the noise would be given up for the odometry that they bend.
+  if (judge.Loops() <= kFewLoops) {
+    BatchOptions wider = options;
+    wider.robust.width = kWider * solved.robust_width;
+    Explanation<Pose> other = judge.Weigh(SolveBatch(graph, wider).T_world_body);
+    if (judge.ExplainsManyMore(other, best) && other.wide_cost < best.wide_cost) best = std::move(other);
   }
   return best.contradicted;
 }

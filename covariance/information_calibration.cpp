@@ -83,21 +83,24 @@ std::string What(const StatedInformation& stated) {
 }
 
 // Two estimates differ by more than loops in the tail of the noise can make.
-constexpr double kApart = 5;
-bool AreApart(const InformationEstimate& a, const InformationEstimate& b) {
+constexpr double kApart = 1.5;
+// By how much a is larger, in the group where they differ most.
+double LogRatio(const InformationEstimate& a, const InformationEstimate& b) {
   const auto all_a = All(a), all_b = All(b);
+  double most = 0;
   for (std::size_t k = 0; k < all_a.size(); ++k) {
-    const double ratio = all_a[k]->sigma_factor / all_b[k]->sigma_factor;
-    if (std::max(ratio, 1 / ratio) > kApart) return true;
+    const double ratio = std::log(all_a[k]->sigma_factor / all_b[k]->sigma_factor);
+    if (std::abs(ratio) > std::abs(most)) most = ratio;
   }
-  return false;
+  return most;
 }
 
 // With fewer wrong loops the estimate itself leaves them out, and those in the tail of drift are not wrong.
 constexpr double kManyRefused = 0.05;
 
 // Wrong loops bend a map that information says nothing of, and all residuals with it; odometry alone tells some of them
-// apart. Right ones in the tail go with them, which matters where there are no others.
+// apart. Right ones in the tail go with them, which matters where there are no others. Wrong ones that stay make scales
+// larger, never smaller.
 template <class Pose>
 InformationEstimate EstimateTrimmed(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   InformationEstimate of_all = EstimateInformationScale(graph, options);
@@ -107,7 +110,7 @@ InformationEstimate EstimateTrimmed(const PoseGraph<Pose>& graph, const Estimate
   PoseGraph<Pose> believed = graph;
   for (const FactorId id : refused) believed.RemoveFactor(id);
   InformationEstimate trimmed = EstimateInformationScale(believed, options);
-  return trimmed.failure.empty() && AreApart(trimmed, of_all) ? trimmed : of_all;
+  return trimmed.failure.empty() && LogRatio(of_all, trimmed) > std::log(kApart) ? trimmed : of_all;
 }
 
 }  // namespace

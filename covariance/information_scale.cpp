@@ -274,7 +274,6 @@ class Estimator {
   void LeaveOutAsStated() {
     for (auto& term : sample_.terms) term.weight = 1;
     out_.loops_left_out = 0;
-    if (stated_.IsPlaceholder()) return;
     const std::vector<Pose> composed = ComputeInitialValues(sample_.graph, InitialValues::kCompose);
     BatchOptions solve;
     solve.max_iterations = kFirstIterations;

@@ -16,6 +16,7 @@
 #include "terse/core/graph_file.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/linear_factor.h"
+#include "terse/core/outliers.h"
 #include "terse/core/random.h"
 #include "terse/covariance/information_probe.h"
 #include "testing_laps.h"
@@ -357,6 +358,25 @@ TEST(InformationScale, BenchmarksAreLeftAlone) {
         },
         file.graph);
     if (kSlowBuild) break;
+  }
+}
+
+// Where odometry alone tells all wrong loops but one or two, and where truncated least squares does.
+TEST(InformationScale, ExportsGetTheSameOnesWithWrongLoops) {
+  TERSE_NEEDS(path, "graphs/real/turtlezhong_kitti_02.g2o");
+  const auto graph = ReadPoseGraph<SE3>(path);
+  const InformationScale clean = CalibrateInformation(graph).scale;
+  const auto truth = SolveBatch(graph).T_world_body;
+  for (const OutlierKind kind : {OutlierKind::kRandom, OutlierKind::kGrouped}) {
+    const auto found = CalibrateInformation(AddWrongLoops(graph, truth, 50, 7002, kind).graph).scale;
+    const auto expect_same = [&](double scale, double expected) {
+      EXPECT_NEAR(std::log(scale / expected), 0, std::log(1.1));
+    };
+    expect_same(found.odometry.translation, clean.odometry.translation);
+    expect_same(found.odometry.rotation, clean.odometry.rotation);
+    expect_same(found.loops.translation, clean.loops.translation);
+    expect_same(found.loops.rotation, clean.loops.rotation);
+    if (kSlowBuild) return;
   }
 }
 
