@@ -95,7 +95,8 @@ struct InformationEstimate {
   KindEstimate odometry, loops;
   long poses = 0, edges = 0, loop_edges = 0;  // of the sample
   // Some measurements agree better than any sensor could: they are computed from one another, not measured. Odometry
-  // and loops then share one factor for translation and one for rotation, to which all squares count in full.
+  // and loops then share one factor for translation and one for rotation, to which all squares count in full, but for
+  // loops that truncated least squares leaves out at the information as stated, if those are less than half.
   bool has_copies = false;
   long loops_left_out = 0;  // contradicted by the others
   // Share of the loops that agree with the odometry between their ends as both are stated (99 % of right ones would).
