@@ -270,7 +270,7 @@ class Estimator {
   }
 
   // Beside copies every loop that is not one stands out, so that none is taken for wrong but what truncated least
-  // squares leaves out at the information as stated, if somebody stated it and that is less than half of them.
+  // squares leaves out at the information as stated, if that is less than half of them.
   void LeaveOutAsStated() {
     for (auto& term : sample_.terms) term.weight = 1;
     out_.loops_left_out = 0;

@@ -24,8 +24,8 @@ bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 // others near them bear out (two that agree over the odometry between their ends), which leaves few wrong ones in and
 // the factor sparse; the optimum next to the first map; and, where true loops stand alone, that of the whole by gnc. A
 // later one has to contradict no more loops than the best before it, and to have less chi2, of a loop no more than one
-// true one in a hundred exceeds, or to explain one loop in twenty more. Of up to 500 loops, that of
-// the whole by a kernel twice as wide is a last one, which has to do the latter at less chi2 as that kernel has it.
+// true one in a hundred exceeds, or to explain one loop in twenty more. Of up to 500 loops, that of the
+// whole by a kernel twice as wide is a last one, which has to do the latter at less chi2 as that kernel has it.
 // `first`: a run over this graph, with kGnc (CompactOptions::solver.robust), which is the kernel here too;
 // options.robust is not looked at. Throws std::invalid_argument as SolveBatch does.
 template <class Pose>
