@@ -199,8 +199,9 @@ void GraphReplay<Pose>::Choose(const std::vector<int>& poses, const std::vector<
 
 template <class Pose>
 Registration<Pose> GraphReplay<Pose>::AsRegistration() {
-  for (int k = LinksOffered() - 1; k >= 0 && !waits_; --k) waiting_[Pair(Link(k).from, Link(k).to)].push_back(k);
-  waits_ = true;
+  if (waiting_.empty()) {
+    for (int k = LinksOffered() - 1; k >= 0; --k) waiting_[Pair(Link(k).from, Link(k).to)].push_back(k);
+  }
   return [this](PoseId candidate, PoseId current) -> std::optional<RelativePoseFactor<Pose>> {
     const auto it = waiting_.find(Pair(candidate, current));
     if (it == waiting_.end() || it->second.empty()) return std::nullopt;

@@ -59,7 +59,6 @@ class GraphReplay {
   std::vector<RelativePoseFactor<Pose>> all_links_;  // once Choose has taken some from the inputs
   // {smaller id, larger id} -> links, last first; since AsRegistration was called.
   std::map<std::pair<std::int64_t, std::int64_t>, std::vector<int>> waiting_;
-  bool waits_ = false;
 };
 
 extern template class GraphReplay<SE2>;

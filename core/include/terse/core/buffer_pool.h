@@ -61,7 +61,7 @@ class BufferPool {
 
  private:
   static constexpr std::size_t kSmall = 512, kKept = 4;               // scalars; of a size
-  static constexpr std::size_t kAlways = 1 << 17, kTimesLargest = 4;  // scalars in all
+  static constexpr std::size_t kAlways = 1 << 20, kTimesLargest = 4;  // scalars in all
   struct Kept {
     std::vector<double> buffer;
     std::uint64_t given;
