@@ -8,6 +8,8 @@
 #include <stdexcept>
 
 #include "information_kinds.h"
+#include "scale_evidence.h"
+#include "short_cycles.h"
 #include "terse/core/at.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/chi_square.h"
@@ -36,6 +38,9 @@ constexpr double kTolerance = 1e-4;    // relative, of chi2
 constexpr double kMovesLittle = 0.3;
 // Standard deviations that are stated too small by less than this leave most loops within the width above.
 constexpr double kFarLarger = 3;
+// Over long ways odometry may be worse than over short cycles.
+constexpr double kFarLargerThanCycles = 5;
+constexpr double kRoomBesideCopies = 30;
 constexpr double kLeastRedundancy = 5;
 constexpr double kMostLogError = 0.35;
 // No sensor is better: of a step, and radians. Residuals below are rounding, or measurements that are copies of one
@@ -125,12 +130,6 @@ struct Sample {
 };
 
 template <class Pose>
-struct UncertainStep {
-  Pose T;
-  typename Pose::Jacobian covariance;  // on the right
-};
-
-template <class Pose>
 Sample<Pose> TakeSample(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   Sample<Pose> sample;
   for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
@@ -180,43 +179,21 @@ std::vector<Pose> StartOf(const PoseGraph<Pose>& graph) {
 }
 
 // Each loop against the odometry alone, so that wrong ones do not matter to the others: in exponential coordinates what
-// a long chain knows is normal too. Covariances of a chain, seen from its start, add up.
+// a long chain knows is normal too.
 template <class Pose>
 double ShareOfAgreeingLoops(const Sample<Pose>& sample) {
   using Jacobian = typename Pose::Jacobian;
-  const auto covariance = [](const RelativePoseFactor<Pose>& f) -> Jacobian {
-    return f.information.llt().solve(Jacobian::Identity());
-  };
-  const auto turned = [](const Jacobian& A, const Jacobian& S) -> Jacobian { return A * S * A.transpose(); };
-  const size_t poses = sample.graph.Poses().size();
-  std::vector<std::optional<UncertainStep<Pose>>> steps(poses);  // to pose k from the one before
-  for (size_t k = 0; k < sample.terms.size(); ++k) {
-    const auto& t = sample.terms[k];
-    auto& step = steps[At(std::max(t.first, t.second))];
-    if (std::abs(t.first - t.second) != 1 || step) continue;
-    const Pose& Z = t.factor.T_from_to;
-    step = t.first < t.second ? UncertainStep<Pose>{Z, covariance(t.factor)}
-                              : UncertainStep<Pose>{Z.Inverse(), turned(Z.Adjoint(), covariance(t.factor))};
-  }
-  std::vector<Pose> T(poses);
-  std::vector<Jacobian> P(poses, Jacobian::Zero());
-  for (size_t k = 1; k < poses; ++k) {
-    if (!steps[k]) return 0;  // no chain of odometry
-    T[k] = T[k - 1] * steps[k]->T;
-    P[k] = P[k - 1] + turned(T[k].Adjoint(), steps[k]->covariance);
-  }
+  const internal::OdometryChain<Pose> odometry(sample.terms, sample.graph.Poses().size());
+  if (!odometry.IsWhole() || sample.loops == 0) return 0;
   const double most = ChiSquareQuantile(0.99, Pose::kDof);
   long agreeing = 0;
-  for (size_t k = 0; k < sample.terms.size(); ++k) {
-    if (!sample.is_loop[k]) continue;
-    const auto& t = sample.terms[k];
-    const size_t i = At(t.first), j = At(t.second);
-    const Pose T_ij = T[i].Inverse() * T[j], difference = t.factor.T_from_to.Inverse() * T_ij;
-    const Jacobian of_chain = turned(T[j].Inverse().Adjoint(), i < j ? P[j] - P[i] : P[i] - P[j]);
-    const Jacobian sum = of_chain + turned(difference.Inverse().Adjoint(), covariance(t.factor));
+  for (const auto& loop : internal::LoopMeasurements(sample.terms, sample.is_loop)) {
+    const Pose difference = loop.T_first_last.Inverse() * odometry.Way(loop.first, loop.last);
+    const Jacobian Ad = difference.Inverse().Adjoint();
+    const Jacobian sum = odometry.CovarianceOf(loop.first, loop.last) + Ad * loop.covariance * Ad.transpose();
     agreeing += sum.llt().matrixL().solve(difference.Log()).squaredNorm() <= most;
   }
-  return sample.loops > 0 ? static_cast<double>(agreeing) / static_cast<double>(sample.loops) : 0;
+  return static_cast<double>(agreeing) / static_cast<double>(sample.loops);
 }
 
 template <class Pose>
@@ -242,17 +219,21 @@ class Estimator {
       out_.failure = "no loops: nothing contradicts the odometry";
       return out_;
     }
-    start_ = StartOf(sample_.graph);
-    Iterate(true);
-    TryAsStated();
-    // What agrees better than any sensor is a copy of something else, and says nothing on how good the rest is: all
-    // count then, and odometry cannot be told from loops.
-    for (const Found& f : found_) out_.has_copies = out_.has_copies || f.estimate.at_floor;
-    if (out_.failure.empty() && out_.has_copies) {
-      LeaveOutAsStated();
-      Iterate(false);
+    Attempt best = AttemptFrom(std::nullopt);
+    std::optional<double> lowest;
+    for (const KindScale& start : best.out.failure.empty() ? OtherStarts(best) : std::vector<KindScale>()) {
+      Attempt other = AttemptFrom(start);
+      if (!other.out.failure.empty() || other.log_scale == best.log_scale) continue;
+      if (!lowest) lowest = Cost(best);
+      const double cost = Cost(other);
+      if (cost >= *lowest) continue;
+      lowest = cost;
+      other.out.normalized_chi2 = best.out.normalized_chi2;
+      best = std::move(other);
     }
-    return Report();
+    best.out.odometry = {best.found[0].estimate, best.found[1].estimate};
+    best.out.loops = {best.found[2].estimate, best.found[3].estimate};
+    return best.out;
   }
 
  private:
@@ -260,6 +241,91 @@ class Estimator {
     ScaleEstimate estimate;
     double step = 0;  // of the logarithm of the scale, the last
   };
+  struct Attempt {
+    ByGroup<Found> found;
+    ByGroup<double> log_scale;
+    InformationEstimate out;
+  };
+
+  // From the information as stated, without any doubt of loops; or from a scale, at which truncated least squares tells
+  // which ones are wrong.
+  Attempt AttemptFrom(const std::optional<KindScale>& scale) {
+    found_ = {};
+    InformationEstimate& out = out_;
+    out.failure.clear();
+    out.loops_left_out = 0;
+    out.has_copies = false;
+    for (auto& term : sample_.terms) term.weight = 1;
+    // What agrees better than any sensor is a copy of something else, and says nothing on how good the rest is: all
+    // count then, and odometry cannot be told from loops.
+    if (scale && IsBelowFloor(*scale)) {
+      out.has_copies = true;
+    } else {
+      start_ = scale ? Composed() : StartOf(sample_.graph);  // wrong loops bend a relaxation
+      Iterate(true, scale);
+      for (const Found& f : found_) out.has_copies = out.has_copies || f.estimate.at_floor;
+    }
+    if (out.failure.empty() && out.has_copies) {
+      LeaveOutBesideCopies(scale ? RoomAround(*scale) : KindScale(), scale ? 1 : 0.5);
+      if (!scale || out.loops_left_out > 0) {
+        Iterate(false, std::nullopt);
+      } else {
+        out.failure = "no loop is wrong";
+      }
+    }
+    return {found_, log_scale_, out};
+  }
+
+  // Residuals far larger than short cycles tell come of odometry that drifts more than its steps say, or of so many wrong
+  // loops that they bend all residuals and none stands out. Then short cycles may tell the scale, or the information is
+  // right as stated.
+  std::vector<KindScale> OtherStarts(const Attempt& attempt) const {
+    std::vector<KindScale> starts;
+    double over_stated = 0, over_cycles = 0;
+    auto cycles = internal::ScaleOfShortCycles<Pose>(
+        internal::ShortCycles(internal::LoopMeasurements(sample_.terms, sample_.is_loop),
+                              internal::OdometryChain<Pose>(sample_.terms, sample_.graph.Poses().size())));
+    const KindScale least = cycles ? AboveFloor(*cycles) : KindScale{0, 0};
+    for (int g = 0; g < kGroups; ++g) {
+      const ScaleEstimate& found = attempt.found[At(g)].estimate;
+      if (!found.determined) continue;
+      over_stated = std::max(over_stated, found.sigma_factor);
+      const double of_cycles = g % 2 == 0 ? least.translation : least.rotation;
+      if (of_cycles > 0) over_cycles = std::max(over_cycles, found.sigma_factor / of_cycles);
+    }
+    const bool bends = !cycles || over_cycles > kFarLargerThanCycles;
+    if (bends && over_stated > kFarLarger) starts.push_back({1, 1});
+    if (bends && cycles) starts.push_back(*cycles);
+    return starts;
+  }
+
+  // Where truncated least squares comes to at these scales.
+  double Cost(const Attempt& attempt) const {
+    const std::vector<ProbeTerm<Pose>> terms = ScaledTerms(attempt.log_scale);
+    const PoseGraph<Pose> graph = GraphOf(terms);
+    const BatchResult<Pose> solved = SolveBatch(graph, Composed(), ToldApart(graph));
+    if (solved.cholesky.Variables() == 0) return std::numeric_limits<double>::infinity();
+    return internal::CostOfScales(terms, sample_.is_loop, solved);
+  }
+
+  PoseGraph<Pose> GraphOf(const std::vector<ProbeTerm<Pose>>& terms) const {
+    PoseGraph<Pose> graph;
+    for (const auto& node : sample_.graph.Poses()) graph.AddPose(node.id);
+    for (const auto& term : terms) graph.AddFactor(term.factor);
+    return graph;
+  }
+
+  std::vector<Pose> Composed() const { return ComputeInitialValues(sample_.graph, InitialValues::kCompose); }
+
+  std::vector<ProbeTerm<Pose>> ScaledTerms(const ByGroup<double>& log_scale) const {
+    std::vector<ProbeTerm<Pose>> terms = sample_.terms;
+    for (size_t k = 0; k < terms.size(); ++k) {
+      const KindScale scale{std::exp(log_scale[At(GroupOf(sample_.is_loop[k], false))]),
+                            std::exp(log_scale[At(GroupOf(sample_.is_loop[k], true))])};
+      terms[k].factor.information = internal::Scaled<Pose>(terms[k].factor.information, scale);
+    }
+    return terms;
+  }
 
   static double Ratio(double floor, double stated) { return stated > 0 ? floor / stated : 0; }
 
@@ -269,22 +335,33 @@ class Estimator {
     return largest;
   }
 
+  KindScale AboveFloor(const KindScale& scale) const {
+    return {std::max(scale.translation, std::min(floor_[0], floor_[2])),
+            std::max(scale.rotation, std::min(floor_[1], floor_[3]))};
+  }
+  bool IsBelowFloor(const KindScale& scale) const {
+    const KindScale above = AboveFloor(scale);
+    return above.translation > scale.translation || above.rotation > scale.rotation;
+  }
+  KindScale RoomAround(const KindScale& scale) const {
+    if (!IsBelowFloor(scale)) return scale;
+    const KindScale above = AboveFloor(scale);
+    const auto room = [](double least) { return std::max(least, std::min(kRoomBesideCopies * least, 1.0)); };
+    return {room(above.translation), room(above.rotation)};
+  }
+
   // Beside copies every loop that is not one stands out, so that none is taken for wrong but what truncated least
-  // squares leaves out at the information as stated, if that is less than half of them.
-  void LeaveOutAsStated() {
+  // squares leaves out at a scale with room for those, if that is less than a share.
+  void LeaveOutBesideCopies(const KindScale& scale, double most) {
     for (auto& term : sample_.terms) term.weight = 1;
     out_.loops_left_out = 0;
-    const std::vector<Pose> composed = ComputeInitialValues(sample_.graph, InitialValues::kCompose);
-    BatchOptions solve;
-    solve.max_iterations = kFirstIterations;
-    solve.relative_tolerance = kTolerance;
-    solve.robust = TruncatedLeastSquares();
-    solve.robust_factors = LoopFactors(sample_.graph);  // a replay finds no others here, and takes longer
-    const BatchResult<Pose> result = SolveBatch(sample_.graph, composed, solve);
+    const double t = std::log(scale.translation), r = std::log(scale.rotation);
+    const PoseGraph<Pose> graph = GraphOf(ScaledTerms({t, r, t, r}));
+    const BatchResult<Pose> result = SolveBatch(graph, Composed(), ToldApart(graph));
     if (result.cholesky.Variables() == 0) return;
     const auto is_out = [](double weight) { return weight < 0.5; };
     const long left_out = std::count_if(result.weights.begin(), result.weights.end(), is_out);
-    if (left_out == 0 || 2 * left_out >= out_.loop_edges) return;
+    if (left_out == 0 || static_cast<double>(left_out) >= most * static_cast<double>(out_.loop_edges)) return;
     out_.loops_left_out = left_out;
     for (size_t k = 0; k < sample_.terms.size(); ++k) sample_.terms[k].weight = is_out(result.weights[k]) ? 0 : 1;
     start_ = result.T_world_body;
@@ -296,65 +373,49 @@ class Estimator {
     robust.width = std::sqrt(ChiSquareQuantile(kTrueLoop, Pose::kDof));
     return robust;
   }
-
-  // Residuals far larger than stated come of bad information, or of so many wrong loops that they bend all residuals
-  // and none stands out. If truncated least squares keeps most loops at the information as stated, it is the others
-  // that are wrong: loops do not agree by chance.
-  void TryAsStated() {
-    double largest = 0;
-    for (const Found& f : found_) largest = std::max(largest, f.estimate.determined ? f.estimate.sigma_factor : 0);
-    if (!out_.failure.empty() || largest <= kFarLarger) return;
-    const auto found = found_;
-    const InformationEstimate out = out_;
-    const std::vector<Pose> start = start_;
-    start_ = ComputeInitialValues(sample_.graph, InitialValues::kCompose);  // wrong loops bend a relaxation
-    Iterate(true, true);
-    if (out_.failure.empty() && 2 * out_.loops_left_out < out_.loop_edges) return;
-    found_ = found;
-    out_ = out;
-    start_ = start;
+  // By graduation: a replay trusts the information, and takes longer.
+  static BatchOptions ToldApart(const PoseGraph<Pose>& graph) {
+    BatchOptions solve;
+    solve.max_iterations = kFirstIterations;
+    solve.relative_tolerance = kTolerance;
+    solve.robust = TruncatedLeastSquares();
+    solve.robust_factors = LoopFactors(graph);
+    return solve;
   }
 
-  // `begins_suspicious`: some loops are taken for wrong from the first step on, and not more than half of them.
-  void Iterate(bool is_robust, bool begins_suspicious = false) {
-    log_scale_.fill(0);
-    if (is_robust) {
-      for (auto& term : sample_.terms) term.weight = 1;
-    }
-    is_suspicious_ = begins_suspicious;
+  // `suspicious`: from this scale on, and some loops are taken for wrong from the first step on.
+  void Iterate(bool is_robust, const std::optional<KindScale>& suspicious) {
+    const KindScale first = suspicious.value_or(KindScale());
+    for (int g = 0; g < kGroups; ++g) log_scale_[At(g)] = std::log(g % 2 == 0 ? first.translation : first.rotation);
+    is_suspicious_ = suspicious.has_value();
     steps_suspicious_ = 0;
     std::vector<Pose> values = start_;
     for (int k = 0; k < options_.max_iterations; ++k) {
       out_.iterations = k + 1;
       if (!Step(is_robust, k == 0, values)) return;
-      if (begins_suspicious && 2 * out_.loops_left_out >= out_.loop_edges) return;
       const bool is_settled = !is_suspicious_ || steps_suspicious_ > kStepsTogether;
       if (LargestStep() < options_.tolerance && is_settled) break;
     }
+    if (suspicious) start_ = std::move(values);
   }
 
   // One solution at the present scales and the next scales from its residuals.
   bool Step(bool is_robust, bool is_first, std::vector<Pose>& values) {
-    std::vector<ProbeTerm<Pose>> terms = sample_.terms;
+    std::vector<ProbeTerm<Pose>> terms = ScaledTerms(log_scale_);
     PoseGraph<Pose> weighted;
     for (const auto& node : sample_.graph.Poses()) weighted.AddPose(node.id);
-    for (size_t k = 0; k < terms.size(); ++k) {
-      const KindScale scale{std::exp(log_scale_[At(GroupOf(sample_.is_loop[k], false))]),
-                            std::exp(log_scale_[At(GroupOf(sample_.is_loop[k], true))])};
-      RelativePoseFactor<Pose>& factor = terms[k].factor;
-      factor.information = internal::Scaled<Pose>(factor.information, scale);
-      RelativePoseFactor<Pose> with_weight = factor;
-      if (!is_suspicious_) with_weight.information *= terms[k].weight;
-      if (is_suspicious_ || terms[k].weight > 0) weighted.AddFactor(with_weight);
+    for (const auto& term : terms) {
+      RelativePoseFactor<Pose> with_weight = term.factor;
+      if (!is_suspicious_) with_weight.information *= term.weight;
+      if (is_suspicious_ || term.weight > 0) weighted.AddFactor(with_weight);
     }
     BatchOptions solve;
+    if (is_suspicious_) {  // the kernel decides anew
+      solve = ToldApart(weighted);
+      solve.graduate = steps_suspicious_ == 0 || LargestStep() > kMovesLittle;
+    }
     solve.max_iterations = is_first ? (is_suspicious_ ? kFirstIterations : 50) : 10;
     solve.relative_tolerance = kTolerance;
-    if (is_suspicious_) {  // the kernel decides anew, by graduation: a replay trusts the information
-      solve.graduate = steps_suspicious_ == 0 || LargestStep() > kMovesLittle;
-      solve.robust_factors = LoopFactors(weighted);
-      solve.robust = TruncatedLeastSquares();
-    }
     const BatchResult<Pose> result = SolveBatch(weighted, values, solve);
     if (result.cholesky.Variables() == 0) {
       out_.failure = result.message;
@@ -469,12 +530,6 @@ class Estimator {
       terms[k].weight = sample_.terms[k].weight = weights[k];
       out_.loops_left_out += weights[k] < 0.5;
     }
-  }
-
-  InformationEstimate Report() {
-    out_.odometry = {found_[0].estimate, found_[1].estimate};
-    out_.loops = {found_[2].estimate, found_[3].estimate};
-    return out_;
   }
 
   const EstimateOptions options_;

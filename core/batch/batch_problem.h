@@ -7,9 +7,11 @@
 #include <numeric>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "terse/core/batch_solver.h"
+#include "terse/core/disjoint_sets.h"
 #include "terse/core/gauge.h"
 #include "terse/core/parallel.h"
 #include "terse/core/residual.h"
@@ -135,13 +137,17 @@ class Problem {
   }
   // kGnc: of its surrogate from now on, held until the next call. Returns how many changed by more than rounding.
   int HoldWeights(const std::vector<Pose>& values, double mu) {
-    int changed = 0;
+    const std::vector<double> before = held_;
+    std::vector<std::pair<double, std::size_t>> without_weight;
     for (std::size_t k = 0; k < counted_; ++k) {
       if (!is_robust_[k]) continue;
-      const double weight = GncWeight(TermChi2(k, values), width_, mu);
-      changed += std::abs(weight - held_[k]) > 1e-9 ? 1 : 0;
-      held_[k] = weight;
+      const double chi2 = TermChi2(k, values);
+      held_[k] = GncWeight(chi2, width_, mu);
+      if (held_[k] == 0) without_weight.emplace_back(chi2, k);
     }
+    if (may_part_) HoldTogether(std::move(without_weight));
+    int changed = 0;
+    for (std::size_t k = 0; k < counted_; ++k) changed += std::abs(before[k] - held_[k]) > 1e-9 ? 1 : 0;
     return changed;
   }
   bool HoldsOnlyZerosAndOnes() const {
@@ -184,7 +190,41 @@ class Problem {
       const bool listed = std::binary_search(loops.begin(), loops.end(), node.id);
       is_robust_[k++] = listed && std::holds_alternative<RelativePoseFactor<Pose>>(node.factor);
     }
-    if (kernel_ == RobustKernel::kGnc) held_.assign(counted_, 1.0);
+    if (kernel_ != RobustKernel::kGnc) return;
+    held_.assign(counted_, 1.0);
+    DisjointSets by_others = HeldTogether([this](std::size_t k) { return is_robust_[k] == 0; });
+    for (std::size_t k = 0; k < counted_; ++k) may_part_ = may_part_ || (is_robust_[k] && JoinEnds(k, by_others));
+  }
+  bool JoinEnds(std::size_t k, DisjointSets& sets) const {
+    return sets.Join(static_cast<std::size_t>(terms_[k].first), static_cast<std::size_t>(terms_[k].second));
+  }
+  // Poses by the relative factors that count, and the world, which is the last number, by absolute ones.
+  template <class Counts>
+  DisjointSets HeldTogether(const Counts& counts) const {
+    const std::size_t n = graph_.Poses().size();
+    DisjointSets sets(n + 1);
+    for (std::size_t k = 0; k < terms_.size(); ++k) {
+      if (std::holds_alternative<PosePriorFactor<Pose>>(*terms_[k].factor)) {
+        sets.Join(static_cast<std::size_t>(terms_[k].first), n);
+      } else if (std::holds_alternative<RelativePoseFactor<Pose>>(*terms_[k].factor) && counts(k)) {
+        JoinEnds(k, sets);
+      }
+    }
+    std::vector<int> fixes(n + 1);
+    for (const Term& t : terms_) {
+      if (!std::holds_alternative<PositionPriorFactor<Pose>>(*t.factor)) continue;
+      const std::size_t root = sets.Root(static_cast<std::size_t>(t.first));
+      if (++fixes[root] == Pose::kDim) sets.Join(root, n);
+    }
+    return sets;
+  }
+  // Of the factors without weight, with their chi2, those that contradict least count where else poses would be free.
+  void HoldTogether(std::vector<std::pair<double, std::size_t>> without_weight) {
+    DisjointSets sets = HeldTogether([this](std::size_t k) { return HasWeight(k); });
+    std::sort(without_weight.begin(), without_weight.end());
+    for (const auto& [chi2, k] : without_weight) {
+      if (JoinEnds(k, sets)) held_[k] = 1;
+    }
   }
   bool HasWeight(std::size_t k) const { return held_.empty() || k >= counted_ || held_[k] > 0; }
   void Populate() {
@@ -245,6 +285,7 @@ class Problem {
   double width_ = 0;
   std::vector<char> is_robust_;  // by term
   std::vector<double> held_;     // kGnc: weights, by term
+  bool may_part_ = false;        // kGnc: the factors that are not robust do not hold every pose
 };
 
 // Levenberg-Marquardt damping after Nielsen: zero while full steps work.
