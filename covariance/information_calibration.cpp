@@ -5,7 +5,6 @@
 #include <string>
 #include <vector>
 
-#include "terse/core/cycle_test.h"
 #include "terse/covariance/information_probe.h"
 #include "terse/covariance/information_scale.h"
 
@@ -82,37 +81,6 @@ std::string What(const StatedInformation& stated) {
   return "the information is too certain";
 }
 
-// Two estimates differ by more than loops in the tail of the noise can make.
-constexpr double kApart = 1.5;
-// By how much a is larger, in the group where they differ most.
-double LogRatio(const InformationEstimate& a, const InformationEstimate& b) {
-  const auto all_a = All(a), all_b = All(b);
-  double most = 0;
-  for (std::size_t k = 0; k < all_a.size(); ++k) {
-    const double ratio = std::log(all_a[k]->sigma_factor / all_b[k]->sigma_factor);
-    if (std::abs(ratio) > std::abs(most)) most = ratio;
-  }
-  return most;
-}
-
-// With fewer wrong loops the estimate itself leaves them out, and those in the tail of drift are not wrong.
-constexpr double kManyRefused = 0.05;
-
-// Wrong loops bend a map that information says nothing of, and all residuals with it; odometry alone tells some of them
-// apart. Right ones in the tail go with them, which matters where there are no others. Wrong ones that stay make scales
-// larger, never smaller.
-template <class Pose>
-InformationEstimate EstimateTrimmed(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
-  InformationEstimate of_all = EstimateInformationScale(graph, options);
-  const std::vector<FactorId> refused = internal::LoopsAgainstOdometry(graph);
-  const auto loops = static_cast<double>(graph.Factors().size()) - static_cast<double>(graph.Poses().size());
-  if (static_cast<double>(refused.size()) <= kManyRefused * loops) return of_all;
-  PoseGraph<Pose> believed = graph;
-  for (const FactorId id : refused) believed.RemoveFactor(id);
-  InformationEstimate trimmed = EstimateInformationScale(believed, options);
-  return trimmed.failure.empty() && LogRatio(of_all, trimmed) > std::log(kApart) ? trimmed : of_all;
-}
-
 }  // namespace
 
 const char* Name(InformationVerdict verdict) {
@@ -144,7 +112,7 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
     sample.sample_poses /= kForReport;
     sample.sample_loops /= kForReport;
   }
-  out.estimate = EstimateTrimmed(graph, sample);
+  out.estimate = EstimateInformationScale(graph, sample);
   const InformationEstimate& found = out.estimate;
   if (!found.failure.empty()) {
     out.message = "the residuals cannot tell whether the information is right (" + found.failure + ")";

@@ -8,8 +8,6 @@
 #include <stdexcept>
 
 #include "information_kinds.h"
-#include "scale_evidence.h"
-#include "short_cycles.h"
 #include "terse/core/at.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/chi_square.h"
@@ -19,6 +17,8 @@
 #include "terse/core/residual.h"
 #include "terse/core/robust.h"
 #include "terse/covariance/information_probe.h"
+#include "terse/covariance/scale_evidence.h"
+#include "terse/covariance/short_cycles.h"
 
 namespace terse {
 namespace {
@@ -39,8 +39,11 @@ constexpr double kMovesLittle = 0.3;
 // Standard deviations that are stated too small by less than this leave most loops within the width above.
 constexpr double kFarLarger = 3;
 // Over long ways odometry may be worse than over short cycles.
-constexpr double kFarLargerThanCycles = 5;
+constexpr double kFarLargerThanCycles = 2.5;
 constexpr double kRoomBesideCopies = 30;
+// Where so few loops close too few short cycles, smaller scales than the residuals' are tried in turn.
+constexpr long kLeastLoops = 4, kMostLoops = 200;
+constexpr std::array<double, 3> kSmaller = {1.0 / 4, 1.0 / 16, 1.0 / 64};
 constexpr double kLeastRedundancy = 5;
 constexpr double kMostLogError = 0.35;
 // No sensor is better: of a step, and radians. Residuals below are rounding, or measurements that are copies of one
@@ -220,17 +223,7 @@ class Estimator {
       return out_;
     }
     Attempt best = AttemptFrom(std::nullopt);
-    std::optional<double> lowest;
-    for (const KindScale& start : best.out.failure.empty() ? OtherStarts(best) : std::vector<KindScale>()) {
-      Attempt other = AttemptFrom(start);
-      if (!other.out.failure.empty() || other.log_scale == best.log_scale) continue;
-      if (!lowest) lowest = Cost(best);
-      const double cost = Cost(other);
-      if (cost >= *lowest) continue;
-      lowest = cost;
-      other.out.normalized_chi2 = best.out.normalized_chi2;
-      best = std::move(other);
-    }
+    if (best.out.failure.empty()) TryOthers(best);
     best.out.odometry = {best.found[0].estimate, best.found[1].estimate};
     best.out.loops = {best.found[2].estimate, best.found[3].estimate};
     return best.out;
@@ -276,32 +269,55 @@ class Estimator {
     return {found_, log_scale_, out};
   }
 
-  // Residuals far larger than short cycles tell come of odometry that drifts more than its steps say, or of so many wrong
-  // loops that they bend all residuals and none stands out. Then short cycles may tell the scale, or the information is
-  // right as stated.
-  std::vector<KindScale> OtherStarts(const Attempt& attempt) const {
-    std::vector<KindScale> starts;
-    double over_stated = 0, over_cycles = 0;
-    auto cycles = internal::ScaleOfShortCycles<Pose>(
+  // Residuals far larger than short cycles tell come of odometry that drifts more than its steps say, or of so many
+  // wrong loops that they bend all residuals and none stands out. Then short cycles may tell the scale, or the
+  // information is right as stated.
+  void TryOthers(Attempt& best) {
+    const auto cycles = internal::ScaleOfShortCycles<Pose>(
         internal::ShortCycles(internal::LoopMeasurements(sample_.terms, sample_.is_loop),
                               internal::OdometryChain<Pose>(sample_.terms, sample_.graph.Poses().size())));
+    double over_stated = 0, over_cycles = 0;
     const KindScale least = cycles ? AboveFloor(*cycles) : KindScale{0, 0};
     for (int g = 0; g < kGroups; ++g) {
-      const ScaleEstimate& found = attempt.found[At(g)].estimate;
+      const ScaleEstimate& found = best.found[At(g)].estimate;
       if (!found.determined) continue;
       over_stated = std::max(over_stated, found.sigma_factor);
       const double of_cycles = g % 2 == 0 ? least.translation : least.rotation;
       if (of_cycles > 0) over_cycles = std::max(over_cycles, found.sigma_factor / of_cycles);
     }
-    const bool bends = !cycles || over_cycles > kFarLargerThanCycles;
-    if (bends && over_stated > kFarLarger) starts.push_back({1, 1});
-    if (bends && cycles) starts.push_back(*cycles);
-    return starts;
+    if (cycles && over_cycles <= kFarLargerThanCycles) return;
+    std::optional<double> lowest;
+    if (over_stated > kFarLarger) Try({1, 1}, best, lowest);
+    if (cycles) Try(*cycles, best, lowest);
+    if (cycles || sample_.loops < kLeastLoops || sample_.loops > kMostLoops) return;
+    const KindScale first = {best.found[0].estimate.sigma_factor, best.found[1].estimate.sigma_factor};
+    for (const double share : kSmaller) Try({share * first.translation, share * first.rotation}, best, lowest);
+  }
+
+  // Whether the attempt from there is more probable than the best one, whose cost is `lowest` if that is known.
+  bool Try(const KindScale& start, Attempt& best, std::optional<double>& lowest) {
+    const bool is_below = IsBelowFloor(start);
+    if (!lowest && !is_below) lowest = Cost(best.log_scale);
+    if (!is_below && Cost(LogScales(start)) >= *lowest) return false;
+    Attempt other = AttemptFrom(start);
+    if (!other.out.failure.empty()) return false;
+    if (!lowest) lowest = Cost(best.log_scale);
+    const double cost = Cost(other.log_scale);
+    if (cost >= *lowest) return false;
+    lowest = cost;
+    other.out.normalized_chi2 = best.out.normalized_chi2;
+    best = std::move(other);
+    return true;
+  }
+
+  static ByGroup<double> LogScales(const KindScale& scale) {
+    const double t = std::log(scale.translation), r = std::log(scale.rotation);
+    return {t, r, t, r};
   }
 
   // Where truncated least squares comes to at these scales.
-  double Cost(const Attempt& attempt) const {
-    const std::vector<ProbeTerm<Pose>> terms = ScaledTerms(attempt.log_scale);
+  double Cost(const ByGroup<double>& log_scale) const {
+    const std::vector<ProbeTerm<Pose>> terms = ScaledTerms(log_scale);
     const PoseGraph<Pose> graph = GraphOf(terms);
     const BatchResult<Pose> solved = SolveBatch(graph, Composed(), ToldApart(graph));
     if (solved.cholesky.Variables() == 0) return std::numeric_limits<double>::infinity();
@@ -355,8 +371,7 @@ class Estimator {
   void LeaveOutBesideCopies(const KindScale& scale, double most) {
     for (auto& term : sample_.terms) term.weight = 1;
     out_.loops_left_out = 0;
-    const double t = std::log(scale.translation), r = std::log(scale.rotation);
-    const PoseGraph<Pose> graph = GraphOf(ScaledTerms({t, r, t, r}));
+    const PoseGraph<Pose> graph = GraphOf(ScaledTerms(LogScales(scale)));
     const BatchResult<Pose> result = SolveBatch(graph, Composed(), ToldApart(graph));
     if (result.cholesky.Variables() == 0) return;
     const auto is_out = [](double weight) { return weight < 0.5; };
@@ -385,8 +400,7 @@ class Estimator {
 
   // `suspicious`: from this scale on, and some loops are taken for wrong from the first step on.
   void Iterate(bool is_robust, const std::optional<KindScale>& suspicious) {
-    const KindScale first = suspicious.value_or(KindScale());
-    for (int g = 0; g < kGroups; ++g) log_scale_[At(g)] = std::log(g % 2 == 0 ? first.translation : first.rotation);
+    log_scale_ = LogScales(suspicious.value_or(KindScale()));
     is_suspicious_ = suspicious.has_value();
     steps_suspicious_ = 0;
     std::vector<Pose> values = start_;

@@ -1,12 +1,12 @@
-#include "scale_evidence.h"
+#include "terse/covariance/scale_evidence.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
-#include "short_cycles.h"
 #include "terse/core/at.h"
 #include "terse/core/residual.h"
+#include "terse/covariance/short_cycles.h"
 
 namespace terse::internal {
 namespace {
@@ -34,7 +34,8 @@ double LogRange(const std::vector<LoopMeasurement<Pose>>& loops) {
   const double n = std::max(1.0, static_cast<double>(loops.size()));
   const Tangent range = (12 * (squares / n - (sum / n).cwiseAbs2())).cwiseMax(0).cwiseSqrt();
   double log_range = 0;
-  for (int i = 0; i < Pose::kDof; ++i) log_range += std::log(std::max(range[i], i < Pose::kDim ? kLeastRange : kLeastTurn));
+  for (int i = 0; i < Pose::kDof; ++i)
+    log_range += std::log(std::max(range[i], i < Pose::kDim ? kLeastRange : kLeastTurn));
   return log_range;
 }
 
@@ -62,8 +63,8 @@ double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector
       continue;
     }
     const Eigen::LLT<Jacobian> llt(cycle->covariance);
-    const double of_group = cycle->error.dot(llt.solve(cycle->error)) / 2 + HalfLogDeterminant<Pose>(llt) +
-                            Pose::kDof * kLogTwoPi / 2;
+    const double of_group =
+        cycle->error.dot(llt.solve(cycle->error)) / 2 + HalfLogDeterminant<Pose>(llt) + Pose::kDof * kLogTwoPi / 2;
     cost += std::min(log_range, of_group);
   }
   return cost + normals * Pose::kDof * kLogTwoPi / 2;

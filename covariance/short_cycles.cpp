@@ -1,4 +1,4 @@
-#include "short_cycles.h"
+#include "terse/covariance/short_cycles.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
@@ -106,10 +106,10 @@ std::vector<std::optional<CycleError<Pose>>> ShortCycles(const std::vector<LoopM
       // From the second loop's start to the first loop's, along that, and to the second one's end.
       const Pose end = odometry.Way(a.last, b.last), along = a.T_first_last * end;
       const Pose T_first_last = odometry.Way(b.first, a.first) * along;
-      cycles[k] = CycleError<Pose>{(b.T_first_last.Inverse() * T_first_last).Log(),
-                                   b.covariance + odometry.CovarianceOf(a.last, b.last) +
-                                       Turned(end.Inverse(), a.covariance) +
-                                       Turned(along.Inverse(), odometry.CovarianceOf(b.first, a.first))};
+      cycles[k] =
+          CycleError<Pose>{(b.T_first_last.Inverse() * T_first_last).Log(),
+                           b.covariance + odometry.CovarianceOf(a.last, b.last) + Turned(end.Inverse(), a.covariance) +
+                               Turned(along.Inverse(), odometry.CovarianceOf(b.first, a.first))};
       break;
     }
   }
@@ -122,8 +122,8 @@ std::optional<KindScale> ScaleOfShortCycles(const std::vector<std::optional<Cycl
   std::vector<double> translation, rotation;
   for (const auto& cycle : cycles) {
     if (!cycle) continue;
-    translation.push_back(Square<kDim>(cycle->error.template head<kDim>(),
-                                       cycle->covariance.template topLeftCorner<kDim, kDim>()));
+    translation.push_back(
+        Square<kDim>(cycle->error.template head<kDim>(), cycle->covariance.template topLeftCorner<kDim, kDim>()));
     rotation.push_back(Square<kTurn>(cycle->error.template tail<kTurn>(),
                                      cycle->covariance.template bottomRightCorner<kTurn, kTurn>()));
   }
@@ -131,12 +131,12 @@ std::optional<KindScale> ScaleOfShortCycles(const std::vector<std::optional<Cycl
   return KindScale{RootOfMedian(translation), RootOfMedian(rotation)};
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                       \
-  template class OdometryChain<Pose>;                                                                                 \
-  template std::vector<LoopMeasurement<Pose>> LoopMeasurements(const std::vector<ProbeTerm<Pose>>&,                   \
-                                                               const std::vector<char>&);                             \
-  template std::vector<std::optional<CycleError<Pose>>> ShortCycles(const std::vector<LoopMeasurement<Pose>>&,        \
-                                                                    const OdometryChain<Pose>&);                      \
+#define TERSE_INSTANTIATE(Pose)                                                                                \
+  template class OdometryChain<Pose>;                                                                          \
+  template std::vector<LoopMeasurement<Pose>> LoopMeasurements(const std::vector<ProbeTerm<Pose>>&,            \
+                                                               const std::vector<char>&);                      \
+  template std::vector<std::optional<CycleError<Pose>>> ShortCycles(const std::vector<LoopMeasurement<Pose>>&, \
+                                                                    const OdometryChain<Pose>&);               \
   template std::optional<KindScale> ScaleOfShortCycles<Pose>(const std::vector<std::optional<CycleError<Pose>>>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -531,6 +531,46 @@ TEST(Robust, CautiousInformationLetsNoWrongLoopsIn) {
   }
 }
 
+// Odometry may be among what is judged, and everything that joins two parts be contradicted: what says it least holds.
+TEST(Robust, WeightsNeverLeavePosesFree) {
+  PoseGraph<SE2> graph;
+  std::vector<SE2> initial;
+  for (int k = 0; k < 6; ++k) {
+    graph.AddPose({k});
+    initial.emplace_back(k, 0, 0);
+  }
+  const auto link = [&](int from, int to, double metres) {
+    return graph.AddFactor(RelativePoseFactor<SE2>{{from}, {to}, SE2(metres, 0, 0), Matrix<3, 3>::Identity() * 100});
+  };
+  for (const int k : {0, 1, 3, 4}) link(k, k + 1, 1);
+  const FactorId slip = link(2, 3, 9), far = link(0, 5, 25), near = link(1, 4, 7);
+  BatchOptions options = With(RobustKernel::kGnc);
+  options.robust_factors = {slip, far, near};
+  options.graduate = false;
+  const auto result = SolveBatch(graph, initial, options);
+  ASSERT_TRUE(result.Converged()) << result.message;
+  EXPECT_EQ(result.weights, (std::vector<double>{1, 1, 1, 1, 0, 0, 1}));
+  EXPECT_NEAR(result.T_world_body[4].Translation()[0] - result.T_world_body[1].Translation()[0], 7, 1e-9);
+  const PoseGraph<SE2> bare = graph;
+  // Not where each part is held on its own.
+  for (const int k : {0, 5}) graph.AddFactor(PosePriorFactor<SE2>{{k}, SE2(k, 0, 0), Matrix<3, 3>::Identity() * 100});
+  const auto held = SolveBatch(graph, initial, options);
+  ASSERT_TRUE(held.Converged()) << held.message;
+  EXPECT_EQ(held.weights, (std::vector<double>{1, 1, 1, 1, 0, 0, 0, 1, 1}));
+  // Two positions do so in the plane, one does not.
+  for (const int fixes : {1, 2}) {
+    PoseGraph<SE2> with_fixes = bare;
+    for (const int k : {0, 1})
+      with_fixes.AddFactor(PositionPriorFactor<SE2>{{k}, Vector<2>(k, 0), Matrix<2, 2>::Identity()});
+    for (int k = 4; k < 4 + fixes; ++k) {
+      with_fixes.AddFactor(PositionPriorFactor<SE2>{{k}, Vector<2>(k, 0), Matrix<2, 2>::Identity()});
+    }
+    const auto fixed = SolveBatch(with_fixes, initial, options);
+    ASSERT_TRUE(fixed.Converged()) << fixed.message;
+    EXPECT_EQ(fixed.weights[6], fixes == 1 ? 1 : 0) << fixes;
+  }
+}
+
 // Nothing is learned where the caller knows better.
 TEST(Robust, AGivenWidthStays) {
   const auto scene = MakeScene<SE2>(3, 0.3);

@@ -1,15 +1,8 @@
 #include "terse/core/cycle_test.h"
 
 #include <Eigen/Cholesky>
-#include <algorithm>
-#include <cmath>
-#include <utility>
-
-#include "terse/core/robust.h"
 
 namespace terse::internal {
-
-constexpr double kNearLimit = 0.5;  // of loops that a scale does not need
 
 template <class Pose>
 void CycleTest<Pose>::Extend(const RelativePoseFactor<Pose>& odometry) {
@@ -74,43 +67,7 @@ std::optional<double> CycleTest<Pose>::Innovation(const RelativePoseFactor<Pose>
   return Innovation(loop.from, loop.to, loop.T_from_to, loop.information.llt().solve(Covariance::Identity()));
 }
 
-template <class Pose>
-std::vector<FactorId> LoopsAgainstOdometry(const PoseGraph<Pose>& graph) {
-  using Relative = RelativePoseFactor<Pose>;
-  std::map<PoseId, PoseId> previous;  // of poses, by id
-  for (const auto& node : graph.Poses()) previous[node.id] = PoseId{};
-  for (auto it = previous.begin(), next = it; it != previous.end(); it = next) {
-    if (++next != previous.end()) next->second = it->first;
-  }
-  std::map<PoseId, Relative> odometry;  // that brings a pose in
-  std::vector<std::pair<FactorId, Relative>> loops;
-  for (const auto& node : graph.Factors()) {
-    const auto* factor = std::get_if<Relative>(&node.factor);
-    if (factor == nullptr) continue;
-    const bool is_odometry = previous[factor->to] == factor->from || previous[factor->from] == factor->to;
-    if (is_odometry) odometry.emplace(std::max(factor->from, factor->to), *factor);
-    if (!is_odometry) loops.emplace_back(node.id, *factor);
-  }
-  CycleTest<Pose> cycles;
-  for (const auto& [to, factor] : odometry) cycles.Extend(factor);
-  std::vector<std::optional<double>> innovations;
-  const double width = DefaultRobustWidth(RobustKernel::kGnc, Pose::kDof), stated = width * width;
-  for (const auto& entry : loops) {
-    innovations.push_back(cycles.Innovation(entry.second));
-    if (innovations.back()) cycles.Note(*innovations.back(), stated);
-  }
-  std::vector<FactorId> refused;
-  for (std::size_t k = 0; k < loops.size(); ++k) {
-    if (cycles.Refuses(innovations[k], kNearLimit)) refused.push_back(loops[k].first);
-  }
-  return refused;
-}
-
-#define TERSE_INSTANTIATE(Pose)   \
-  template class CycleTest<Pose>; \
-  template std::vector<FactorId> LoopsAgainstOdometry<Pose>(const PoseGraph<Pose>&);
-TERSE_INSTANTIATE(SE2)
-TERSE_INSTANTIATE(SE3)
-#undef TERSE_INSTANTIATE
+template class CycleTest<SE2>;
+template class CycleTest<SE3>;
 
 }  // namespace terse::internal

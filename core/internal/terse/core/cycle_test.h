@@ -65,9 +65,7 @@ class CycleTest {
     if (!IsActive()) return std::numeric_limits<double>::infinity();
     return std::max(kReserveInMap * limit_, kLeastShareInMap * stated_);
   }
-  bool Refuses(std::optional<double> innovation, double share = 1) const {
-    return IsActive() && innovation && *innovation > share * limit_;
-  }
+  bool Refuses(std::optional<double> innovation) const { return IsActive() && innovation && *innovation > limit_; }
 
   template <class Archive>
   void Serialize(Archive& archive) {
@@ -102,10 +100,5 @@ class CycleTest {
   InnovationScale scale_{kLeastShare};
   double stated_ = 0, limit_ = 0;
 };
-
-// Of a whole graph: loops that come near to what the odometry between consecutive ids refuses, by what all of them say;
-// for those who need typical loops, not every one. Empty where the covariances say enough.
-template <class Pose>
-std::vector<FactorId> LoopsAgainstOdometry(const PoseGraph<Pose>& graph);
 
 }  // namespace terse::internal

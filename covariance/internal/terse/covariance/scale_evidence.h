@@ -9,10 +9,10 @@
 namespace terse::internal {
 
 // -log of the probability of the measurements, the poses integrated out (Laplace's approximation: MacKay, Neural
-// Computation 4(3), 1992), but for what is the same under any scales of the same graph. `terms`: scaled, in the order of
-// the graph's factors, of which `loops` are those that may be wrong. `solved`: the optimum with weights; what has weight
-// below a half is wrong. A wrong loop says anything in the range of what all loops say, but a group of wrong ones is one
-// mistake: the others of it are as likely as the short cycles that they close with it.
+// Computation 4(3), 1992), but for what is the same under any scales of the same graph. `terms`: scaled, in the order
+// of the graph's factors, of which `loops` are those that may be wrong. `solved`: the optimum with weights; what has
+// weight below a half is wrong. A wrong loop says anything in the range of what all loops say, but a group of wrong
+// ones is one mistake: the others of it are as likely as the short cycles that they close with it.
 template <class Pose>
 double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<char>& is_loop,
                     const BatchResult<Pose>& solved);
