@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "terse/core/chi_square.h"
 #include "terse/covariance/information_probe.h"
 #include "terse/covariance/information_scale.h"
 
@@ -12,7 +13,7 @@ namespace terse {
 namespace {
 
 // Between stated and found standard deviations.
-constexpr double kPlaceholderBand = 3, kConstantBand = 20, kMeasuredBand = 10;
+constexpr double kLarger = 2, kSmaller = 3, kSmallerConstant = 20;
 constexpr double kDegrees = 180 / 3.14159265358979323846;
 
 struct Band {
@@ -20,16 +21,14 @@ struct Band {
 };
 
 Band BandOf(const StatedInformation& stated) {
-  if (stated.IsPlaceholder()) return {1 / kPlaceholderBand, kPlaceholderBand};
-  if (stated.same) return {1 / kConstantBand, kConstantBand};
-  return {0, kMeasuredBand};
+  if (stated.IsPlaceholder()) return {1 / kSmaller, kLarger};
+  return {stated.same ? 1 / kSmallerConstant : 0, kLarger};
 }
 
-// So many loops agree with information that is right, where the others are wrong. With standard deviations ten times
-// too small next to none would.
-constexpr double kAgreeing = 0.3;
-// With fewer there are wrong loops, and residuals say nothing that this share does not.
-constexpr double kAllAgree = 0.9;
+// So many more loops agree than would if standard deviations were that much too small: the others are wrong.
+constexpr double kMoreAgree = 0.35;
+// So many loops agree with information that is not far too certain.
+constexpr double kManyAgree = 0.3;
 // The sample over this will do where the verdict does not depend on it.
 constexpr int kForReport = 4;
 
@@ -38,6 +37,18 @@ bool IsTooCertain(const Band& band, const ScaleEstimate& found) {
 }
 bool IsTooCautious(const Band& band, const ScaleEstimate& found) {
   return found.determined && found.sigma_factor * std::exp(2 * found.log_error) < band.smaller;
+}
+
+// Share of right loops within the stated chi-square's 99th percentile if standard deviations are so many times as large.
+template <class Pose>
+double AgreeingLoops(double sigma_factor) {
+  const double most = ChiSquareQuantile(0.99, Pose::kDof) / (sigma_factor * sigma_factor);
+  double low = 0, high = 0.99;
+  for (int k = 0; k < 30; ++k) {
+    const double middle = (low + high) / 2;
+    (ChiSquareQuantile(middle, Pose::kDof) < most ? low : high) = middle;
+  }
+  return low;
 }
 
 std::array<const ScaleEstimate*, 4> All(const InformationEstimate& estimate) {
@@ -96,19 +107,9 @@ template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   InformationCalibration out;
   out.stated = DescribeInformation(graph);
-  bool agrees = false;
-  if (!out.stated.IsPlaceholder()) {
-    const double share = internal::ShareOfAgreeingLoops(graph, options);
-    agrees = share >= kAgreeing;
-    if (agrees && share < kAllAgree) {
-      out.estimate.agreeing_loops = share;
-      out.verdict = InformationVerdict::kConsistent;
-      out.message = OthersAreWrong(share);
-      return out;
-    }
-  }
   EstimateOptions sample = options;
-  if (agrees && BandOf(out.stated).smaller == 0) {
+  const bool may_be_scaled = out.stated.IsPlaceholder() || BandOf(out.stated).smaller > 0;
+  if (!may_be_scaled && internal::ShareOfAgreeingLoops(graph, options) >= kManyAgree) {
     sample.sample_poses /= kForReport;
     sample.sample_loops /= kForReport;
   }
@@ -119,18 +120,20 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
     return out;
   }
   bool any_determined = false, all_at_floor = true, is_too_certain = false, is_too_cautious = false;
+  double largest = 1;
   const Band band = BandOf(out.stated);
   for (const ScaleEstimate* group : All(found)) {
     any_determined = any_determined || group->determined;
     all_at_floor = all_at_floor && (group->at_floor || !group->determined);
     is_too_certain = is_too_certain || IsTooCertain(band, *group);
+    if (group->determined) largest = std::max(largest, group->sigma_factor);
     is_too_cautious = is_too_cautious || IsTooCautious(band, *group);
   }
   if (!any_determined) {
     out.message = "the residuals cannot tell whether the information is right (too few loops)";
   } else if (all_at_floor) {
     out.message = "the measurements agree to rounding: their residuals cannot tell whether the information is right";
-  } else if (is_too_certain && found.agreeing_loops >= kAgreeing) {
+  } else if (is_too_certain && found.agreeing_loops > AgreeingLoops<Pose>(largest) + kMoreAgree) {
     out.verdict = InformationVerdict::kConsistent;
     out.message = OthersAreWrong(found.agreeing_loops);
   } else if (!is_too_certain && !is_too_cautious) {

@@ -32,12 +32,14 @@ constexpr double kCut = 4;            // expected squares, beyond which a residu
 constexpr double kStandsOut = 9;      // times the other loops' squares: loses weight
 constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of the robust kernel
 constexpr int kStepsTogether = 2;
-constexpr int kFirstIterations = 200;  // of truncated least squares
+constexpr int kFirstIterations = 60;  // of truncated least squares
 constexpr double kTolerance = 1e-4;    // relative, of chi2
 // Scales that moved by less keep the loops that are in as a start; logarithm.
 constexpr double kMovesLittle = 0.3;
-// Standard deviations that are stated too small by less than this leave most loops within the width above.
-constexpr double kFarLarger = 3;
+// Standard deviations that are stated too small by less may be left.
+constexpr double kLarger = 2;
+// So many loops agree with information that is right, where the others are wrong.
+constexpr double kManyAgree = 0.3;
 // Over long ways odometry may be worse than over short cycles.
 constexpr double kFarLargerThanCycles = 2.5;
 constexpr double kRoomBesideCopies = 30;
@@ -285,13 +287,18 @@ class Estimator {
       const double of_cycles = g % 2 == 0 ? least.translation : least.rotation;
       if (of_cycles > 0) over_cycles = std::max(over_cycles, found.sigma_factor / of_cycles);
     }
-    if (cycles && over_cycles <= kFarLargerThanCycles) return;
+    const bool bends = !cycles || over_cycles > kFarLargerThanCycles;
     std::optional<double> lowest;
-    if (over_stated > kFarLarger) Try({1, 1}, best, lowest);
+    if (over_stated > kLarger && (bends || out_.agreeing_loops > kManyAgree)) Try({1, 1}, best, lowest);
+    if (!bends) return;
     if (cycles) Try(*cycles, best, lowest);
     if (cycles || sample_.loops < kLeastLoops || sample_.loops > kMostLoops) return;
     const KindScale first = {best.found[0].estimate.sigma_factor, best.found[1].estimate.sigma_factor};
-    for (const double share : kSmaller) Try({share * first.translation, share * first.rotation}, best, lowest);
+    for (const double share : kSmaller) {
+      const KindScale start = {share * first.translation, share * first.rotation};
+      Try(start, best, lowest);
+      if (IsBelowFloor(start)) return;  // all of these are the same
+    }
   }
 
   // Whether the attempt from there is more probable than the best one, whose cost is `lowest` if that is known.

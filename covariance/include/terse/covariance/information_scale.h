@@ -14,6 +14,13 @@
 // of the other loops lose weight in the next solution. This is repeated, each time at the optimum under the last
 // scales, until no scale moves.
 //
+// So many wrong loops that none stands out bend the map, and residuals with it. So the scale at which short cycles close
+// is tried too (two loops between the same places and the odometry between their ends: wrong loops are in few of those,
+// or agree with each other in groups), and the information as stated: truncated least squares tells wrong loops apart
+// there, and scales are estimated from the others. The scales under which the measurements are most probable are the
+// estimate: poses integrated out (Laplace's approximation: MacKay, "Bayesian interpolation", Neural Computation 4(3),
+// 1992), a wrong loop anywhere in the range of what loops say, the others of a group of wrong ones as their cycles close.
+//
 // A loop is a relative factor between poses that do not arrive one right after the other (arrival.h). Priors and fixed
 // poses are left out of the estimate and never scaled. Standard deviations are root mean squares over the axes, metres
 // and radians, body frame at the factor's second pose.
@@ -96,7 +103,7 @@ struct InformationEstimate {
   long poses = 0, edges = 0, loop_edges = 0;  // of the sample
   // Some measurements agree better than any sensor could: they are computed from one another, not measured. Odometry
   // and loops then share one factor for translation and one for rotation, to which all squares count in full, but for
-  // loops that truncated least squares leaves out at the information as stated, if those are less than half.
+  // loops that truncated least squares leaves out.
   bool has_copies = false;
   long loops_left_out = 0;  // contradicted by the others
   // Share of the loops that agree with the odometry between their ends as both are stated (99 % of right ones would).
@@ -125,12 +132,12 @@ struct InformationCalibration {
   std::string message;     // a sentence for people
 };
 
-// Whether the residuals contradict the information so much that it is better scaled. Placeholders (StatedInformation):
-// a factor of 3 between stated and found standard deviations in any group. One constant for all edges, somebody's
-// guess: 20. Information that differs from edge to edge was computed by somebody: only if residuals are 10 times larger
-// than it says; too much caution is left alone. Beyond two standard errors in each case. Information is not called too
-// certain where a good part of the loops agree with it (InformationEstimate::agreeing_loops): the others are wrong
-// then. What residuals cannot tell, a tree's for example, stays as it is.
+// Whether the residuals contradict the information so much that it is better scaled, beyond two standard errors: if
+// standard deviations found are twice the stated ones in any group, or smaller: a third of placeholders'
+// (StatedInformation), a twentieth of one constant for all edges, somebody's guess. Information that differs from edge
+// to edge was computed by somebody: too much caution is left alone. Information is not called too certain where far more
+// loops agree with it than would if it were (InformationEstimate::agreeing_loops): the others are wrong then. What
+// residuals cannot tell, a tree's for example, stays as it is.
 template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options = {});
 
