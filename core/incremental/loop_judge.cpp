@@ -250,7 +250,7 @@ bool LoopJudge<Pose>::AdmitLoops(Loops loops, StepContext<Pose>& step) {
     for (size_t k = 0; k < block.size() && !changed; ++k) {
       Loops contest = {block[k]};
       const Camps camps = k < heard ? AddContestants(contest, step.map) : Camps();
-      Park(block[k].id, block[k].residual.squaredNorm());
+      Park(block[k].id, step.map.Chi2Of(block[k].id));  // not the residual here, which is of another chart
       if (contest.size() > 1) changed = Judge(contest, camps, step);
       if (step.options.carry == Carry::kPoint) continue;
       changed = changed || AdmitSlip(block[k].id, step) || AdmitLocalSlip(contest[0], step);

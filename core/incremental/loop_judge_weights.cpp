@@ -43,7 +43,7 @@ template <class Pose>
 bool LoopJudge<Pose>::AdmitWeighted(Loops loops, StepContext<Pose>& step) {
   for (Loop& loop : loops) {
     loop.weight = WeightOnArrival(loop, ToleratedByWeights(step), step.map);
-    Park(loop.id, loop.residual.squaredNorm());
+    Park(loop.id, step.map.Chi2Of(loop.id));
   }
   loops.erase(std::remove_if(loops.begin(), loops.end(), [](const Loop& loop) { return loop.weight == 0; }),
               loops.end());
@@ -70,7 +70,7 @@ bool LoopJudge<Pose>::ReviewWeights(StepContext<Pose>& step) {
   const bool reweighed =
       !replaced.empty() && step.relinearization.MovePoints({}, std::move(replaced), map, step.options, step.report);
   if (out.empty() || !Exchange({}, out, step)) return reweighed;
-  for (const Loop& loop : out) Park(loop.id, loop.residual.squaredNorm());
+  for (const Loop& loop : out) Park(loop.id, step.map.Chi2Of(loop.id));
   has_evicted_ = false;
   return true;
 }
