@@ -42,7 +42,7 @@ constexpr double kLarger = 2;
 constexpr double kManyAgree = 0.3;
 // Over long ways odometry may be worse than over short cycles.
 constexpr double kFarLargerThanCycles = 2.5;
-constexpr double kRoomBesideCopies = 30;
+constexpr double kRoomBesideCopies = 15;
 // Where so few loops close too few short cycles, smaller scales than the residuals' are tried in turn.
 constexpr long kLeastLoops = 4, kMostLoops = 200;
 constexpr std::array<double, 3> kSmaller = {1.0 / 4, 1.0 / 16, 1.0 / 64};
@@ -307,7 +307,9 @@ class Estimator {
     if (!lowest && !is_below) lowest = Cost(best.log_scale);
     if (!is_below && Cost(LogScales(start)) >= *lowest) return false;
     Attempt other = AttemptFrom(start);
-    if (!other.out.failure.empty()) return false;
+    const auto is_of_copies = [](const Found& f) { return f.estimate.at_floor; };
+    const bool all_copies = std::all_of(other.found.begin(), other.found.end(), is_of_copies);
+    if (!other.out.failure.empty() || all_copies) return false;  // copies alone tell nothing
     if (!lowest) lowest = Cost(best.log_scale);
     const double cost = Cost(other.log_scale);
     if (cost >= *lowest) return false;

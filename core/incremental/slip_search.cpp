@@ -21,6 +21,7 @@ constexpr int kReachOfPlace = 9;
 // the closest first, are compared by covariance.
 constexpr double kMuchLess = 9;
 constexpr size_t kMostWitnesses = 30;
+constexpr double kTolerance = 1e-6;  // of costs that are compared
 
 // From index `first` to a later one.
 template <class Pose>
@@ -233,7 +234,9 @@ class Search {
       const bool is_in = was_in ? node.id != slip.odometry && !has(slip.goes, node.id) : has(slip.comes, node.id);
       weights.push_back(is_in ? 1 : 0);
     }
-    const BatchResult<Pose> with = SolveBatch(WithWeights(map_.Graph(), weights), slip.T_world_body, BatchOptions());
+    BatchOptions options;
+    options.relative_tolerance = kTolerance;
+    const BatchResult<Pose> with = SolveBatch(WithWeights(map_.Graph(), weights), slip.T_world_body, options);
     if (with.termination == Termination::kNotPositiveDefinite) return {std::numeric_limits<double>::infinity(), {}};
     const double price = slip.odometry ? kSlipPrice * k_ : 0;
     return {Cost(with.T_world_body, slip.odometry.value_or(FactorId())) + price, with.T_world_body};
