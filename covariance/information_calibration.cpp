@@ -39,7 +39,8 @@ bool IsTooCautious(const Band& band, const ScaleEstimate& found) {
   return found.determined && found.sigma_factor * std::exp(2 * found.log_error) < band.smaller;
 }
 
-// Share of right loops within the stated chi-square's 99th percentile if standard deviations are so many times as large.
+// Share of right loops within the stated chi-square's 99th percentile if standard deviations are so many times as
+// large.
 template <class Pose>
 double AgreeingLoops(double sigma_factor) {
   const double most = ChiSquareQuantile(0.99, Pose::kDof) / (sigma_factor * sigma_factor);

@@ -33,7 +33,7 @@ constexpr double kStandsOut = 9;      // times the other loops' squares: loses w
 constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of the robust kernel
 constexpr int kStepsTogether = 2;
 constexpr int kFirstIterations = 60;  // of truncated least squares
-constexpr double kTolerance = 1e-4;    // relative, of chi2
+constexpr double kTolerance = 1e-4;   // relative, of chi2
 // Scales that moved by less keep the loops that are in as a start; logarithm.
 constexpr double kMovesLittle = 0.3;
 // Standard deviations that are stated too small by less may be left.

@@ -14,12 +14,13 @@
 // of the other loops lose weight in the next solution. This is repeated, each time at the optimum under the last
 // scales, until no scale moves.
 //
-// So many wrong loops that none stands out bend the map, and residuals with it. So the scale at which short cycles close
-// is tried too (two loops between the same places and the odometry between their ends: wrong loops are in few of those,
-// or agree with each other in groups), and the information as stated: truncated least squares tells wrong loops apart
-// there, and scales are estimated from the others. The scales under which the measurements are most probable are the
-// estimate: poses integrated out (Laplace's approximation: MacKay, "Bayesian interpolation", Neural Computation 4(3),
-// 1992), a wrong loop anywhere in the range of what loops say, the others of a group of wrong ones as their cycles close.
+// So many wrong loops that none stands out bend the map, and residuals with it. So the scale at which short cycles
+// close is tried too (two loops between the same places and the odometry between their ends: wrong loops are in few of
+// those, or agree with each other in groups), and the information as stated: truncated least squares tells wrong loops
+// apart there, and scales are estimated from the others. The scales under which the measurements are most probable are
+// the estimate: poses integrated out (Laplace's approximation: MacKay, "Bayesian interpolation", Neural Computation
+// 4(3), 1992), a wrong loop anywhere in the range of what loops say, the others of a group of wrong ones as their
+// cycles close.
 //
 // A loop is a relative factor between poses that do not arrive one right after the other (arrival.h). Priors and fixed
 // poses are left out of the estimate and never scaled. Standard deviations are root mean squares over the axes, metres
@@ -135,8 +136,8 @@ struct InformationCalibration {
 // Whether the residuals contradict the information so much that it is better scaled, beyond two standard errors: if
 // standard deviations found are twice the stated ones in any group, or smaller: a third of placeholders'
 // (StatedInformation), a twentieth of one constant for all edges, somebody's guess. Information that differs from edge
-// to edge was computed by somebody: too much caution is left alone. Information is not called too certain where far more
-// loops agree with it than would if it were (InformationEstimate::agreeing_loops): the others are wrong then. What
+// to edge was computed by somebody: too much caution is left alone. Information is not called too certain where far
+// more loops agree with it than would if it were (InformationEstimate::agreeing_loops): the others are wrong then. What
 // residuals cannot tell, a tree's for example, stays as it is.
 template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options = {});
