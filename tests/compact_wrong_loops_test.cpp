@@ -67,7 +67,7 @@ double ErrorWith(const Drive& drive, double percent, OutlierKind kind, std::uint
 
 // One wrong loop in ten, and three.
 TEST(CompactWrongLoops, TheMapOfACityStays) {
-  for (const std::uint64_t seed : testing::Seeds(501, 503)) {
+  for (const std::uint64_t seed : testing::Seeds(501, 502)) {
     const Drive drive = MakeCity(seed);
     const double clean = ErrorOf(drive.graph, drive.truth);
     for (const OutlierKind kind :

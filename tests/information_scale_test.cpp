@@ -170,7 +170,7 @@ void ExpectHalfMayBeWrong(Scene scene, std::uint64_t seed) {
 }
 
 TEST(InformationScale, HalfOfTheLoopsMayBeWrong) {
-  for (const std::uint64_t seed : {51, 52}) ExpectHalfMayBeWrong<SE2>(Scene::kManhattan, seed);
+  ExpectHalfMayBeWrong<SE2>(Scene::kManhattan, 51);
   ExpectHalfMayBeWrong<SE3>(Scene::kTorus, 53);
 }
 
@@ -433,7 +433,7 @@ TEST(InformationScale, ExportsGetTheSameOnesWithWrongLoops) {
   for (const OutlierKind kind : {OutlierKind::kRandom, OutlierKind::kGrouped}) expect_same(kitti, 100, kind);
   if (kSlowBuild) return;
   const auto unit = ReadPoseGraph<SE3>(folder + "/real/turtlezhong_kitti_02.g2o");
-  for (const double percent : {50, 100}) expect_same(unit, percent, OutlierKind::kRandom);
+  expect_same(unit, 100, OutlierKind::kRandom);
 }
 
 TEST(InformationScale, ExportsWithTheUnitMatrixGetPlausibleOnes) {
