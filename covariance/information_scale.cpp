@@ -419,7 +419,6 @@ class Estimator {
       const bool is_settled = !is_suspicious_ || steps_suspicious_ > kStepsTogether;
       if (LargestStep() < options_.tolerance && is_settled) break;
     }
-    if (suspicious) start_ = std::move(values);
   }
 
   // One solution at the present scales and the next scales from its residuals.
