@@ -104,16 +104,25 @@ std::vector<Pose> ValuesOf(const CompactPoseSlam<Pose>& slam, const PoseGraph<Po
 
 }  // namespace
 
+bool AreLoopsInDoubt(long refused, long offered) {
+  return refused >= kLeastRefused && static_cast<double>(refused) > kDoubtfulShare * static_cast<double>(offered);
+}
+
 template <class Pose>
 bool AreLoopsInDoubt(const CompactRun<Pose>& run) {
-  return run.links_refused >= kLeastRefused && run.links_refused > kDoubtfulShare * run.links_offered;
+  return AreLoopsInDoubt(run.links_refused, run.links_offered);
 }
 
 template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const CompactRun<Pose>& first,
                                         BatchOptions options) {
-  // The map's width, where it is open, leaves room for what a map with few links does not know.
   options.robust = first.slam.Options().solver.robust;
+  return ContradictedLoops(graph, ValuesOf(first.slam, graph), std::move(options));
+}
+
+template <class Pose>
+std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options) {
+  // The map's width, where it is open, leaves room for what a map with few links does not know.
   options.robust.quantile = RobustOptions().quantile;
   const std::vector<FactorId> unsupported = internal::UnsupportedLoops(graph);
   const BatchResult<Pose> solved = SolveBatch(WithoutFactors(graph, unsupported), options);
@@ -129,7 +138,7 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
     if (judge.IsBetter(other, best)) best = std::move(other);
   };
 
-  keep_if_better(explain_next_to(ValuesOf(first.slam, graph)));
+  if (!first.empty()) keep_if_better(explain_next_to(first));
 
   // Where true loops stand alone, most of what is explained had no support.
   std::vector<FactorId> explained_alone;
@@ -155,10 +164,11 @@ PoseGraph<Pose> WithoutFactors(PoseGraph<Pose> graph, const std::vector<FactorId
   return graph;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                           \
-  template bool AreLoopsInDoubt<Pose>(const CompactRun<Pose>&);                                           \
-  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, const CompactRun<Pose>&, \
-                                                         BatchOptions);                                   \
+#define TERSE_INSTANTIATE(Pose)                                                                                    \
+  template bool AreLoopsInDoubt<Pose>(const CompactRun<Pose>&);                                                    \
+  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, const CompactRun<Pose>&,          \
+                                                         BatchOptions);                                            \
+  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, std::vector<Pose>, BatchOptions); \
   template PoseGraph<Pose> WithoutFactors<Pose>(PoseGraph<Pose>, const std::vector<FactorId>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -4,35 +4,97 @@
 #include <stdexcept>
 #include <utility>
 
+#include "stream_review.h"
 #include "terse/compact/state_members.h"
 
 namespace terse {
 namespace {
 
-constexpr const char* kKind = "measurement stream";
+constexpr const char* kKind = "stream of measurements";
 
 std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
 }  // namespace
 
 template <class Pose>
-MeasurementStream<Pose>::MeasurementStream(CompactPoseSlam<Pose>& slam) : slam_(&slam) {
+MeasurementStream<Pose>::MeasurementStream(CompactPoseSlam<Pose>& slam) : MeasurementStream(slam, InformationScale()) {}
+
+template <class Pose>
+MeasurementStream<Pose>::MeasurementStream(CompactPoseSlam<Pose>& slam, const InformationScale& scale)
+    : slam_(&slam), review_(std::make_unique<internal::StreamReview<Pose>>(scale)) {
   if (slam.Options().strategy == Strategy::kGiven) {
     throw std::invalid_argument("rfpfl draws from all poses beforehand: there is no stream of it");
   }
 }
 
 template <class Pose>
-std::vector<StreamOutcome> MeasurementStream<Pose>::Add(const Factor<Pose>& factor) {
+MeasurementStream<Pose>::~MeasurementStream() = default;
+template <class Pose>
+MeasurementStream<Pose>::MeasurementStream(MeasurementStream&&) noexcept = default;
+template <class Pose>
+MeasurementStream<Pose>& MeasurementStream<Pose>::operator=(MeasurementStream&&) noexcept = default;
+
+template <class Pose>
+void MeasurementStream<Pose>::StartReviews(const ReviewOptions& options) {
+  if (!IsEmpty()) throw std::logic_error("reviews of a stream begin before its first measurement");
+  *review_ = internal::StreamReview<Pose>(slam_->Options(), options);
+}
+
+template <class Pose>
+std::optional<Review> MeasurementStream<Pose>::TakeReview(bool at_end) {
+  auto found = review_->Look(*slam_, at_end);
+  if (!found) return std::nullopt;
+  internal::RemadeMap<Pose>& remade = found->remade;
+  remade.slam->SetLog(slam_->Options().log);
+  *slam_ = std::move(*remade.slam);
+  open_ = std::move(remade.stream.open_);
+  values_ = std::move(remade.stream.values_);
+  fixed_ = std::move(remade.stream.fixed_);
+  found->review.decisions = std::move(remade.decisions);
+  return std::move(found->review);
+}
+
+template <class Pose>
+void MeasurementStream<Pose>::EndReviews() {
+  review_->Stop();
+}
+
+template <class Pose>
+const InformationScale& MeasurementStream<Pose>::Scale() const {
+  return review_->Scale();
+}
+
+// An edge or a prior, a pose that no measurement named before.
+template <class Pose>
+bool MeasurementStream<Pose>::Opens(const Factor<Pose>& factor) const {
+  const FactorPoses ends = PosesOf(factor);
+  return !IsKnown(ends.first) || !IsKnown(ends.second);
+}
+
+template <class Pose>
+std::vector<StreamOutcome> MeasurementStream<Pose>::Add(const Factor<Pose>& factor, bool is_scaled) {
   const std::string defect = FindDefect(factor);
   if (!defect.empty()) throw std::invalid_argument(defect);
-  if (const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&factor)) return AddEdge(*edge);
-  return AddPrior(factor);
+  const bool opens = Opens(factor);
+  const Factor<Pose> scaled = is_scaled ? factor : review_->Scaled(factor, opens);
+  const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&scaled);
+  std::vector<StreamOutcome> out = edge != nullptr ? AddEdge(*edge) : AddPrior(scaled);
+  review_->Note({factor, std::nullopt, {}}, opens ? Open() : std::nullopt, out);
+  return out;
 }
 
 template <class Pose>
 std::vector<StreamOutcome> MeasurementStream<Pose>::Flush() {
-  return open_ ? Close() : std::vector<StreamOutcome>();
+  if (!open_) return {};
+  std::vector<StreamOutcome> out = Close();
+  review_->Note({}, std::nullopt, out);
+  return out;
+}
+
+template <class Pose>
+void MeasurementStream<Pose>::Discard() {
+  if (open_) review_->NoteDiscarded(open_->id);
+  open_.reset();
 }
 
 template <class Pose>
@@ -57,7 +119,7 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFa
   const PoseId known = knows_from ? edge.from : edge.to;
   if (slam_->HasForgotten(known)) throw std::invalid_argument(Name(known) + " is forgotten: it was dropped long ago");
   CompactInput<Pose> next = Prepare(knows_from ? edge.to : edge.from, edge);
-  std::vector<StreamOutcome> out = Flush();
+  std::vector<StreamOutcome> out = open_ ? Close() : std::vector<StreamOutcome>();
   OpenNext(std::move(next));
   return out;
 }
@@ -94,6 +156,7 @@ void MeasurementStream<Pose>::SetValue(PoseId id, const Pose& T_world_body) {
   if (slam_->HasSeen(id) || slam_->HasForgotten(id))
     throw std::invalid_argument("the value of " + Name(id) + " comes after the pose was closed");
   (IsOpen(id) ? open_->T_world_body.emplace() : values_[id]) = T_world_body;
+  review_->Note({std::nullopt, T_world_body, {id}});
 }
 
 template <class Pose>
@@ -112,6 +175,7 @@ void MeasurementStream<Pose>::Fix(const std::vector<PoseId>& ids) {
       fixed_.insert(id);
     }
   }
+  if (!ids.empty()) review_->Note({std::nullopt, std::nullopt, ids});
 }
 
 // As it would be opened; nothing changes yet.
@@ -153,9 +217,9 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::Close() {
 template <class Pose>
 template <class Archive>
 void MeasurementStream<Pose>::Serialize(Archive& archive) {
-  auto& [slam, open, values, fixed] = *this;
+  auto& [slam, open, values, fixed, review] = *this;
   std::vector<PoseId> fixed_list(fixed.begin(), fixed.end());
-  archive(open, values, fixed_list);
+  archive(open, values, fixed_list, *review);
   if constexpr (Archive::kReads) fixed = std::set<PoseId>(fixed_list.begin(), fixed_list.end());
 }
 
@@ -183,9 +247,11 @@ MeasurementStream<Pose> MeasurementStream<Pose>::Load(const std::string& path, C
   for (const auto& [id, value] : stream.values_) {
     if (is_seen(id) || !IsFinite(value)) reader.Fail("a value of a pose that was added already, or not finite");
   }
+  if (const std::string defect = stream.review_->FindStateDefect(); !defect.empty()) reader.Fail(defect);
   loaded.SetLog(slam.Options().log);
   slam = std::move(loaded);
   stream.slam_ = &slam;
+  stream.review_->Resume(slam);
   return stream;
 }
 

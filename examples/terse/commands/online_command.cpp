@@ -21,6 +21,7 @@ struct OnlineCommandOptions {
   int dimension = 0;  // 0: the first measurement tells
   std::string thresholds, journal;
   std::optional<Strategy> strategy;  // absent: as the journal has it, else as CompactOptions
+  std::string review;                // of kReviews; empty: as the journal has it, else all
   std::vector<double> range, link_deviation;
   std::optional<double> probability, min_pose_gain, min_loop_gain;
   CompactBudget budget;
@@ -35,7 +36,8 @@ struct OnlineCommandOptions {
 
 // Of dropped poses, unless a trajectory is to be written.
 constexpr int kRemembered = 1000;
-constexpr const char* kMostDropped = "most_dropped";
+constexpr const char *kMostDropped = "most_dropped", *kReview = "review";
+constexpr const char *kReviewAll = "all", *kReviewLoops = "loops", *kReviewOff = "off";
 
 template <class Pose>
 CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
@@ -88,6 +90,7 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   if (settings.most_dropped) json[kMostDropped] = *settings.most_dropped;
   if (options.run.agreeing_links != OnlineRunOptions().agreeing_links)
     json["agreeing_links"] = options.run.agreeing_links;
+  if (options.run.review) json[kReview] = options.run.review->information ? kReviewAll : kReviewLoops;
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
   json["robust"] = WordOf(settings.solver.robust.kernel);
@@ -116,6 +119,23 @@ std::optional<Strategy> BegunWith(const OnlineCommandOptions& options, const Jou
     if (begun == word) return strategy;
   }
   return std::nullopt;
+}
+
+// The same of reviews, which journals did not know once.
+std::optional<ReviewOptions> Reviews(const OnlineCommandOptions& options, const Journal* journal) {
+  std::string word = options.review;
+  if (word.empty()) {
+    const bool is_begun = journal != nullptr && !journal->IsNew();
+    word = is_begun ? std::string(kReviewOff) : kReviewAll;
+    if (is_begun && ParseHeader(*journal).contains(kReview)) {
+      const ordered_json begun = ParseHeader(*journal)[kReview];
+      word = begun == kReviewLoops ? kReviewLoops : kReviewAll;  // another word is left to the comparison of headers
+    }
+  }
+  if (word == kReviewOff) return std::nullopt;
+  ReviewOptions review;
+  review.information = word == kReviewAll;
+  return review;
 }
 
 template <class Pose>
@@ -152,6 +172,7 @@ void Online(OnlineCommandOptions options) {
   Journal* const used = journal ? &*journal : nullptr;
   options.remember = Remembered(options, used);
   options.strategy = BegunWith(options, used);
+  options.run.review = Reviews(options, used);
   LineSource source;
   int dimension = KnownDimension(options, used);
   if (dimension == 0) dimension = source.FindDimension();
@@ -205,6 +226,16 @@ void AddOnlineCommand(CLI::App& app) {
   AddBudgetOptions(*command, options->budget);
   AddBoundedOptions(*command, options->min_variance_drop, options->retire_share);
   AddRobustOptions(*command, options->robust);
+  command
+      ->add_option(
+          "--review", options->review,
+          "From eight loops on, each time that there are twice as many, all that was measured so far is looked "
+          "at again, beside the run: information that nobody estimated or that is too certain is scaled to what "
+          "residuals say (not with loops), and loops that the others contradict are left out (with gnc). If that "
+          "changes the map it is made again, and an answer tells of it (made_again)")
+      ->check(CLI::IsMember({kReviewAll, kReviewLoops, kReviewOff}).description(""))
+      ->option_text("all|loops|off")
+      ->default_str("all; as the journal has it");
   AddReadOptions(*command, options->run.read);
   command
       ->add_option("--journal", options->journal,

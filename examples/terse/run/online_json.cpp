@@ -1,5 +1,7 @@
 #include "run/online_json.h"
 
+#include "terse/compact/compact_json.h"
+#include "terse/core/robust.h"
 #include "terse/covariance/covariance_table.h"
 
 namespace terse {
@@ -99,6 +101,24 @@ ordered_json ToJson(const StreamOutcome& outcome, const CompactPoseSlam<Pose>& s
   return json;
 }
 
+template <class Pose>
+ordered_json ToJson(const Review& review, const CompactPoseSlam<Pose>& slam) {
+  const PoseGraph<Pose>& graph = slam.Solver().Graph();
+  ordered_json kept = ordered_json::array(), links = ordered_json::array();
+  for (const auto& pose : graph.Poses()) kept.push_back(pose.id.value);
+  for (const FactorId id : LoopFactors(graph)) {
+    const FactorPoses ends = PosesOf(graph.FindFactor(id)->factor);
+    links.push_back({{"factor", id.value}, {"from", ends.first.value}, {"to", ends.second.value}});
+  }
+  return {{"made_again", true},
+          {"information", Name(review.information.verdict)},
+          {"message", review.information.message},
+          {"sigma_scale", ToJson(review.scale)},
+          {"loops_left_out", review.loops_left_out},
+          {"poses_kept", std::move(kept)},
+          {"links_kept", std::move(links)}};
+}
+
 ordered_json RowsJson(const MatrixX& covariance) {
   if (!covariance.allFinite()) return nullptr;
   ordered_json rows = ordered_json::array();
@@ -143,5 +163,7 @@ template ordered_json CovarianceJson<SE3>(const std::vector<PoseId>&, const Comp
                                           const CovarianceConvention&);
 template ordered_json ToJson<SE2>(const StreamOutcome&, const CompactPoseSlam<SE2>&);
 template ordered_json ToJson<SE3>(const StreamOutcome&, const CompactPoseSlam<SE3>&);
+template ordered_json ToJson<SE2>(const Review&, const CompactPoseSlam<SE2>&);
+template ordered_json ToJson<SE3>(const Review&, const CompactPoseSlam<SE3>&);
 
 }  // namespace terse

@@ -12,6 +12,10 @@ namespace terse {
 template <class Pose>
 nlohmann::ordered_json ToJson(const StreamOutcome& outcome, const CompactPoseSlam<Pose>& slam);
 
+// Of a map that was made again: why, and what is in it.
+template <class Pose>
+nlohmann::ordered_json ToJson(const Review& review, const CompactPoseSlam<Pose>& slam);
+
 // The covariance of one pose, or of the second seen from the first. Throws NumericalError if it is not finite.
 template <class Pose>
 nlohmann::ordered_json CovarianceJson(const std::vector<PoseId>& poses, const CompactPoseSlam<Pose>& slam,

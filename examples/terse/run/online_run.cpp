@@ -52,7 +52,9 @@ class OnlineRun {
         maps_(slam_, stream_, options.agreeing_links, kSource, options.read),
         reader_(kSource, options.read),
         header_(std::move(header)),
-        journal_(journal) {}
+        journal_(journal) {
+    if (options.review) stream_.StartReviews(*options.review);
+  }
 
   void Resume() {
     TakeSnapshotOf(ParseHeader(*journal_));
@@ -61,6 +63,7 @@ class OnlineRun {
       ++number;
       try {
         Note(IsCommand(*line, kReceived) ? TakeReceived(*line) : Apply(*line, number));
+        TakeReview(false);
       } catch (const std::exception& error) {
         throw FileError(journal_->Path(), number + 2, std::string("the line does not fit: ") + error.what());
       }
@@ -101,6 +104,7 @@ class OnlineRun {
     if (journal_ != nullptr) journal_->Append(record);
     lines_ += !IsFlush(text);
     Note(outcome);
+    if (std::optional<ordered_json> answer = TakeReview(false)) outcome.answers.push_back(std::move(*answer));
     if (text == kDiscard) return Print({{"discarded", IdOrNull(open)}});
     if (outcome.stream.empty() && outcome.answers.empty()) return;
     if (journal_ != nullptr) journal_->Sync();
@@ -124,6 +128,7 @@ class OnlineRun {
     if (options_.directory.empty()) return;
     if (slam_.PosesSeen() == 0) throw FileError(kSource, 0, "no measurement came: there is nothing to write");
     // Not in the journal: a run that goes on from there goes on with the poses.
+    if (const std::optional<ordered_json> answer = TakeReview(true); answer && !options_.quiet) Print(*answer);
     RetireAtEnd();
     const BatchResult<Pose> result = slam_.Finish();
     RequireOptimum(result);
@@ -139,6 +144,20 @@ class OnlineRun {
     ordered_json retired = ordered_json::array();
     for (const RetiredPose& pose : slam_.Retire()) retired.push_back(pose.id.value);
     if (!retired.empty() && !options_.quiet) Print({{"retired_at_end", std::move(retired)}});
+  }
+
+  // After every line that was taken.
+  std::optional<ordered_json> TakeReview(bool at_end) {
+    std::optional<Review> found = stream_.TakeReview(at_end);
+    if (!found) return std::nullopt;
+    if (!options_.quiet) {
+      std::cerr << "terse: note: " << kSource << ": the map is made again";
+      if (!found->scale.IsOne()) std::cerr << ", with standard deviations scaled: " << found->information.message;
+      if (found->loops_left_out > 0) std::cerr << ", without " << found->loops_left_out << " loops that are wrong";
+      std::cerr << " (--review off leaves it)\n";
+    }
+    if (!options_.directory.empty()) decisions_ = std::move(found->decisions);
+    return ToJson(*found, slam_);
   }
 
   static constexpr char kFlush[] = "FLUSH", kDiscard[] = "DISCARD";
@@ -235,6 +254,7 @@ class OnlineRun {
   }
   Outcome Receive(const std::string& name, const CompactMapFile& file) {
     ordered_json answer = maps_.Receive(name, file, !options_.directory.empty());
+    stream_.EndReviews();
     Outcome outcome = maps_.Update();
     outcome.answers.insert(outcome.answers.begin(), std::move(answer));
     return outcome;
@@ -298,6 +318,7 @@ class OnlineRun {
       throw FileError(kSource, number, "REMOVE of \"" + text + "\", expected the number of one factor");
     }
     slam_.RemoveLink(id);
+    stream_.EndReviews();
   }
 
   // A request changes nothing, so the journal does not hold it; but what it tells follows from the lines before.

@@ -2,11 +2,12 @@
 // A run of `online`: lines in, answers out, a journal beside it.
 
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 
 #include "run/journal.h"
 #include "run/line_source.h"
-#include "terse/compact/compact_pose_slam.h"
+#include "terse/compact/measurement_stream.h"
 #include "terse/core/graph_file.h"
 #include "terse/covariance/convention.h"
 
@@ -20,6 +21,7 @@ struct OnlineRunOptions {
   ReadOptions read;
   CovarianceConvention convention;
   bool covariances = false, strict = false, quiet = false;
+  std::optional<ReviewOptions> review = ReviewOptions();  // MeasurementStream::StartReviews
 };
 
 // The options of the run that the journal was begun with. Throws FileError.

@@ -173,7 +173,7 @@ typename ReceivedMaps<Pose>::Link ReceivedMaps<Pose>::Parse(const std::string& t
   Link link{EndAt(edge.from, number), EndAt(edge.to, number), edge.measured, text};
   if (link.from.map == link.to.map && !IsOfRun(link.from))
     throw FileError(source_, number, "both poses are of the map " + At(link.from.map).name);
-  const auto scale = [&](const End& end) { return end.map == kRun ? InformationScale() : At(end.map).scale; };
+  const auto scale = [&](const End& end) { return end.map == kRun ? stream_.Scale() : At(end.map).scale; };
   link.measured = ScaleMapLinks<Pose>({{0, 1, link.measured}}, {scale(link.from), scale(link.to)}).front().measured;
   return link;
 }
@@ -195,7 +195,7 @@ typename ReceivedMaps<Pose>::Outcome ReceivedMaps<Pose>::AddLink(const std::stri
   Link link = Parse(text, number);
   Outcome outcome;
   if (IsOfRun(link.from) && IsOfRun(link.to)) {
-    outcome.stream = stream_.Add(InRun(link));
+    outcome.stream = stream_.Add(InRun(link), true);
     return outcome;
   }
   ordered_json waits_for = ordered_json::array();
@@ -334,7 +334,7 @@ void ReceivedMaps<Pose>::PassOn(Outcome& outcome) {
       continue;
     }
     try {
-      for (StreamOutcome& late : stream_.Add(InRun(link))) outcome.stream.push_back(std::move(late));
+      for (StreamOutcome& late : stream_.Add(InRun(link), true)) outcome.stream.push_back(std::move(late));
     } catch (const std::exception& error) {
       outcome.answers.push_back(
           {{"link", {InRun(link.from).value, InRun(link.to).value}}, {"accepted", false}, {"cause", error.what()}});

@@ -15,6 +15,7 @@ namespace terse {
 // More than one link in a hundred, and not only one or two, was refused. Of maps of public graphs without wrong loops
 // that refuse more than two none refuses over one in 160 (but sphere_bignoise's, which is lost); a tenth of wrong ones
 // makes it one in fifteen, or, where most are never looked at, one in sixty with half of them wrong (parking-garage).
+bool AreLoopsInDoubt(long refused, long offered);
 template <class Pose>
 bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 
@@ -31,6 +32,11 @@ bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const CompactRun<Pose>& first,
                                         BatchOptions options = {});
+
+// The same next to any values by pose index in place of the first map's, or to none, with the kernel of options.robust
+// (kGnc), whose quantile is not looked at.
+template <class Pose>
+std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options);
 
 // A copy without these factors, the others under their ids.
 template <class Pose>

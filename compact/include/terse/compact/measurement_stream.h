@@ -10,11 +10,18 @@
 //
 // The first pose is that of the first prior, or the `from` of the first edge.
 //
+// A map that grows hears of everything once, and cannot know at the beginning what its information is worth, nor which
+// of its first loops are wrong. With StartReviews(), from eight loops on and each time that there are twice as many, a
+// thread of its own looks at all that was measured so far, as CompactGraph does with a file: scales information that
+// nobody estimated or that residuals contradict (information_scale.h), judges all loops together where the map refuses
+// many (contradicted_loops.h), and if something else comes out makes the map again. TakeReview() takes it over.
+//
 // Throws std::invalid_argument for what contradicts the measurements before it, NumericalError where the solver fails,
 // and is then as before: a pose at hand that cannot be closed stays at hand until Discard() gives it up. Not
 // thread-safe.
 
 #include <map>
+#include <memory>
 #include <optional>
 #include <set>
 #include <string>
@@ -22,8 +29,14 @@
 #include <vector>
 
 #include "terse/compact/compact_pose_slam.h"
+#include "terse/covariance/information_scale.h"
 
 namespace terse {
+
+namespace internal {
+template <class Pose>
+class StreamReview;
+}
 
 struct LateLink {
   PoseId from, to;  // as measured
@@ -37,18 +50,51 @@ struct LatePrior {
 };
 using StreamOutcome = std::variant<Decision, LateLink, LatePrior>;
 
+struct ReviewOptions {
+  bool information = true;  // else it stays as it is stated
+  // The samples asked for end with five times the poses or ten times the loops too, where the other is rare: until then
+  // all measurements are held and reviewed, and none later.
+  EstimateOptions estimate;
+};
+
+// `slam` is another map of the same measurements.
+struct Review {
+  InformationCalibration information;
+  InformationScale scale;           // in use
+  int loops_left_out = 0;           // of those measured, which the map did not see
+  std::vector<Decision> decisions;  // of all poses that were closed so far, which take the place of those before
+};
+
 template <class Pose>
 class MeasurementStream {
  public:
   // `slam` outlives the stream, and only the stream adds poses to it. Throws std::invalid_argument for
   // Strategy::kGiven, which must know the poses beforehand.
   explicit MeasurementStream(CompactPoseSlam<Pose>& slam);
+  // Relative measurements are scaled, as another run found that they have to be.
+  MeasurementStream(CompactPoseSlam<Pose>& slam, const InformationScale& scale);
+  ~MeasurementStream();
+  MeasurementStream(MeasurementStream&&) noexcept;
+  MeasurementStream& operator=(MeasurementStream&&) noexcept;
 
-  std::vector<StreamOutcome> Add(const Factor<Pose>& factor);
+  // Before the first measurement; throws std::logic_error after it.
+  void StartReviews(const ReviewOptions& options = {});
+  // Between measurements, as often as one likes: the map that was made again, when its time has come, a number of poses
+  // after the review began that depends on nothing else; what the thread has not done by then is waited for. Factors of
+  // `slam` are numbered anew. `at_end`: all measurements are looked at, and waited for.
+  std::optional<Review> TakeReview(bool at_end = false);
+  // None any more; scales stay. To be called before others change `slam` (a link removed, poses retired), for a map
+  // that is made again has what the stream was given and nothing else.
+  void EndReviews();
+  // In use, ones to begin with.
+  const InformationScale& Scale() const;
+
+  // `is_scaled`: its information is right as it is.
+  std::vector<StreamOutcome> Add(const Factor<Pose>& factor, bool is_scaled = false);
   // Closes the pose at hand, if there is one.
   std::vector<StreamOutcome> Flush();
   // Gives up the pose at hand, if there is one, with all that was measured at it.
-  void Discard() { open_.reset(); }
+  void Discard();
 
   // Where the first pose and fixed ones are; of no effect for others. Before the pose is closed.
   void SetValue(PoseId id, const Pose& T_world_body);
@@ -77,6 +123,7 @@ class MeasurementStream {
   std::vector<StreamOutcome> Close();
   bool IsOpen(PoseId id) const { return open_ && open_->id == id; }
   bool IsKnown(PoseId id) const { return IsOpen(id) || slam_->HasSeen(id) || slam_->HasForgotten(id); }
+  bool Opens(const Factor<Pose>& factor) const;
   bool IsEmpty() const { return !open_ && slam_->PosesSeen() == 0; }
 
   CompactPoseSlam<Pose>* slam_;
@@ -84,6 +131,7 @@ class MeasurementStream {
   std::optional<CompactInput<Pose>> open_;
   std::map<PoseId, Pose> values_;  // of poses to come
   std::set<PoseId> fixed_;         // likewise
+  std::unique_ptr<internal::StreamReview<Pose>> review_;
 };
 
 extern template class MeasurementStream<SE2>;

@@ -1,0 +1,348 @@
+#include "stream_review.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <unordered_map>
+#include <unordered_set>
+#include <utility>
+
+#include "terse/compact/compact_graph.h"
+#include "terse/compact/contradicted_loops.h"
+#include "terse/compact/state_members.h"
+#include "terse/core/error.h"
+
+namespace terse::internal {
+namespace {
+
+constexpr long kFirstLoops = 8;
+// A look is over after so many more poses, or a share of those that there are.
+constexpr long kLeastPosesOfLook = 20, kShareOfLook = 8;
+// Of the samples that EstimateOptions asks for: where loops are few, or many, the beginning ends all the same.
+constexpr long kMostPosesOf = 5, kMostLoopsOf = 10;
+// Scales that differ by less are not worth another map; logarithm.
+constexpr double kSameScale = 0.15;
+
+bool AreSame(const KindScale& a, const KindScale& b) {
+  return std::abs(std::log(a.translation / b.translation)) < kSameScale &&
+         std::abs(std::log(a.rotation / b.rotation)) < kSameScale;
+}
+bool AreSame(const InformationScale& a, const InformationScale& b) {
+  return AreSame(a.odometry, b.odometry) && AreSame(a.loops, b.loops);
+}
+
+// Edges alone, poses in the order in which these name them. Factors are numbered from 0.
+template <class Pose>
+struct EdgeGraph {
+  explicit EdgeGraph(const std::vector<StreamEvent<Pose>>& events) {
+    std::unordered_set<std::int64_t> known;
+    for (std::size_t k = 0; k < events.size(); ++k) {
+      const auto* edge = events[k].factor ? std::get_if<RelativePoseFactor<Pose>>(&*events[k].factor) : nullptr;
+      if (edge == nullptr) continue;
+      const std::size_t had = known.size();
+      for (const PoseId id : {edge->from, edge->to}) {
+        if (known.insert(id.value).second) graph.AddPose(id);
+      }
+      graph.AddFactor(*edge);
+      event_of.push_back(k);
+      opens.push_back(known.size() > had);
+    }
+  }
+  PoseGraph<Pose> graph;
+  std::vector<std::size_t> event_of;  // by factor
+  std::vector<char> opens;            // a pose; likewise
+};
+
+// By pose index, of poses that are not in the trajectory yet by their odometry. Empty if others are not in it either.
+template <class Pose>
+std::vector<Pose> ValuesFor(const EdgeGraph<Pose>& edges, const std::vector<RecoveredPose<Pose>>& trajectory) {
+  std::unordered_map<std::int64_t, Pose> values;
+  for (const auto& pose : trajectory) values[pose.id.value] = pose.T_world_body;
+  for (std::size_t k = 0; k < edges.opens.size(); ++k) {
+    const auto& edge = std::get<RelativePoseFactor<Pose>>(edges.graph.Factors()[k].factor);
+    const auto from = values.find(edge.from.value), to = values.find(edge.to.value);
+    if (!edges.opens[k] || (from != values.end() && to != values.end())) continue;
+    if (from == values.end() && to == values.end()) return {};
+    if (from != values.end()) {
+      values[edge.to.value] = Pose(from->second * edge.T_from_to);
+    } else {
+      values[edge.from.value] = Pose(to->second * edge.T_from_to.Inverse());
+    }
+  }
+  std::vector<Pose> out;
+  for (const auto& node : edges.graph.Poses()) out.push_back(values.at(node.id.value));
+  return out;
+}
+
+long CountRefused(const std::vector<StreamOutcome>& outcomes) {
+  long refused = 0;
+  for (const StreamOutcome& outcome : outcomes) {
+    if (const auto* decision = std::get_if<Decision>(&outcome)) refused += decision->links_refused;
+    if (const auto* link = std::get_if<LateLink>(&outcome)) refused += link->decision.outlier;
+  }
+  return refused;
+}
+
+// As the strategy's tests are with information that was scaled, unless the user said otherwise.
+template <class Pose>
+CompactOptions<Pose> ForScale(CompactOptions<Pose> settings, const InformationScale& scale) {
+  if (scale.IsOne() || settings.innovation_quantile != kInnovationQuantile) return settings;
+  settings.innovation_quantile = kInnovationQuantileOfScaled;
+  settings.solver.robust = MapRobust(settings.solver.robust, settings);
+  return settings;
+}
+
+template <class Pose>
+bool IsEdge(const StreamEvent<Pose>& event) {
+  return event.factor && std::holds_alternative<RelativePoseFactor<Pose>>(*event.factor);
+}
+
+// Without what names the pose. True if there is something left.
+template <class Pose>
+bool TakeOut(PoseId id, StreamEvent<Pose>& event) {
+  if (event.factor) {
+    const FactorPoses ends = PosesOf(*event.factor);
+    return ends.first != id && ends.second != id;
+  }
+  const bool had_any = !event.ids.empty();
+  event.ids.erase(std::remove(event.ids.begin(), event.ids.end(), id), event.ids.end());
+  return !had_any || !event.ids.empty();
+}
+
+}  // namespace
+
+template <class Pose>
+RemadeMap<Pose>::RemadeMap(const CompactOptions<Pose>& settings, const InformationScale& scale)
+    : slam(std::make_unique<CompactPoseSlam<Pose>>(ForScale(settings, scale))), stream(*slam, scale) {}
+
+template <class Pose>
+bool RemadeMap<Pose>::Knows(const StreamEvent<Pose>& event) const {
+  if (!event.factor) return false;
+  const auto is_known = [&](PoseId id) { return stream.Open() == id || slam->HasSeen(id) || slam->HasForgotten(id); };
+  const FactorPoses ends = PosesOf(*event.factor);
+  return is_known(ends.first) && is_known(ends.second);
+}
+
+template <class Pose>
+void RemadeMap<Pose>::TakeUpTo(const std::vector<StreamEvent<Pose>>& events) {
+  const auto take = [&](const StreamEvent<Pose>& event) -> std::vector<StreamOutcome> {
+    if (event.factor) return stream.Add(*event.factor);
+    if (event.T_world_body)
+      return stream.SetValue(event.ids.front(), *event.T_world_body), std::vector<StreamOutcome>();
+    if (!event.ids.empty()) return stream.Fix(event.ids), std::vector<StreamOutcome>();
+    return stream.Flush();
+  };
+  for (; taken_ < events.size(); ++taken_) {
+    if (events[taken_].is_left_out) continue;
+    try {
+      const std::vector<StreamOutcome> outcomes = take(events[taken_]);
+      refused += CountRefused(outcomes);
+      for (const StreamOutcome& outcome : outcomes) {
+        if (const auto* decision = std::get_if<Decision>(&outcome)) decisions.push_back(*decision);
+      }
+    } catch (const std::invalid_argument&) {
+      if (!Knows(events[taken_])) throw;
+    }
+  }
+}
+
+template <class Pose>
+StreamReview<Pose>::StreamReview(const CompactOptions<Pose>& settings, const ReviewOptions& options)
+    : settings_(settings), options_(options), records_(true) {
+  settings_.log = settings_.solver.log = nullptr;  // whoever listens may not expect another thread
+}
+
+template <class Pose>
+Factor<Pose> StreamReview<Pose>::Scaled(const Factor<Pose>& factor, bool opens) const {
+  const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&factor);
+  if (edge == nullptr || scale_.IsOne()) return factor;
+  const auto has = [&](std::optional<PoseId> id) { return edge->from == id || edge->to == id; };
+  const bool is_odometry = !newest_ || (has(newest_) && (opens || has(before_)));
+  return ScaleInformation(*edge, is_odometry ? scale_.odometry : scale_.loops);
+}
+
+template <class Pose>
+void StreamReview<Pose>::Note(StreamEvent<Pose> event, std::optional<PoseId> opened,
+                              const std::vector<StreamOutcome>& outcomes) {
+  if (opened && !newest_ && event.factor) {
+    const FactorPoses ends = PosesOf(*event.factor);
+    newest_ = ends.first == *opened ? ends.second : ends.first;  // of a prior it is itself
+    poses_ += newest_ != opened;
+  }
+  if (opened) {
+    if (newest_ != opened) before_ = newest_;
+    newest_ = opened;
+    ++poses_;
+  }
+  if (!records_) return;
+  edges_ += IsEdge(event);
+  refused_ += CountRefused(outcomes);
+  events_.push_back(std::move(event));
+}
+
+template <class Pose>
+void StreamReview<Pose>::NoteDiscarded(PoseId open) {
+  newest_ = before_;
+  before_.reset();
+  --poses_;
+  const std::size_t had = events_.size();
+  events_.erase(std::remove_if(events_.begin(), events_.end(), [&](auto& event) { return !TakeOut(open, event); }),
+                events_.end());
+  edges_ = std::count_if(events_.begin(), events_.end(), IsEdge<Pose>);
+  if (events_.size() < had) over_at_ = 0;  // a look on the way may have seen it
+}
+
+template <class Pose>
+void StreamReview<Pose>::Stop() {
+  records_ = false;
+  over_at_ = 0;
+  events_ = {};
+}
+
+template <class Pose>
+bool StreamReview<Pose>::IsInDoubt() const {
+  const long left_out = std::count_if(events_.begin(), events_.end(), [](const auto& e) { return e.is_left_out; });
+  return left_out > 0 || AreLoopsInDoubt(refused_, Loops());
+}
+
+template <class Pose>
+bool StreamReview<Pose>::IsFull() const {
+  const EstimateOptions& sample = options_.estimate;
+  return (poses_ >= sample.sample_poses && Loops() >= sample.sample_loops) ||
+         poses_ >= kMostPosesOf * sample.sample_poses || Loops() >= kMostLoopsOf * sample.sample_loops;
+}
+
+template <class Pose>
+auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
+  const EdgeGraph<Pose> edges(beginning.events);
+  Looked out{{}, beginning.scale, std::move(beginning.events), std::nullopt};
+  const auto make_again = [&] {
+    out.remade.emplace(beginning.settings, out.scale);
+    out.remade->TakeUpTo(out.events);
+  };
+  if (beginning.options.information) {
+    out.information = CalibrateInformation(edges.graph, beginning.options.estimate);
+    // What cannot be told leaves the scale that was found from less.
+    const bool is_told = out.information.verdict != InformationVerdict::kUndetermined;
+    if (is_told && !AreSame(out.information.scale, beginning.scale)) {
+      out.scale = out.information.scale;
+      make_again();
+      beginning.is_in_doubt =
+          beginning.is_in_doubt || AreLoopsInDoubt(out.remade->refused, edges.graph.Factors().size());
+      beginning.trajectory = out.remade->slam->Trajectory();
+    }
+  }
+  BatchOptions judged;
+  judged.robust = ForScale(beginning.settings, out.scale).solver.robust;
+  if (!beginning.is_in_doubt || judged.robust.kernel != RobustKernel::kGnc) return out;
+  std::vector<char> is_wrong(out.events.size());
+  for (const FactorId id :
+       ContradictedLoops(ScaleInformation(edges.graph, out.scale), ValuesFor(edges, beginning.trajectory), judged)) {
+    const auto k = static_cast<std::size_t>(id.value);
+    is_wrong[edges.event_of[k]] = edges.opens[k] == 0;
+  }
+  bool is_other = false;
+  for (std::size_t k = 0; k < is_wrong.size(); ++k) {
+    is_other = is_other || out.events[k].is_left_out != (is_wrong[k] != 0);
+    out.events[k].is_left_out = is_wrong[k] != 0;
+  }
+  if (is_other) make_again();
+  return out;
+}
+
+template <class Pose>
+void StreamReview<Pose>::Begin(std::size_t events, const CompactPoseSlam<Pose>& slam) {
+  events_of_look_ = events;
+  Beginning beginning{settings_, options_, scale_, {}, IsInDoubt(), {}};
+  beginning.events.assign(events_.begin(), events_.begin() + static_cast<std::ptrdiff_t>(events));
+  if (beginning.is_in_doubt) beginning.trajectory = slam.Trajectory();
+  look_ = std::async([beginning = std::move(beginning)]() mutable { return LookAt(std::move(beginning)); });
+}
+
+// A map that cannot be made is none.
+template <class Pose>
+auto StreamReview<Pose>::End() -> std::optional<Found> {
+  over_at_ = 0;
+  try {
+    Looked looked = look_.get();
+    if (!looked.remade) return std::nullopt;
+    std::vector<StreamEvent<Pose>> events = std::move(looked.events);
+    const auto seen = static_cast<std::ptrdiff_t>(events.size());
+    events.insert(events.end(), events_.begin() + seen, events_.end());
+    looked.remade->TakeUpTo(events);
+    events_ = std::move(events);
+    scale_ = looked.scale;
+    refused_ = looked.remade->refused;
+    const auto left_out = std::count_if(events_.begin(), events_.end(), [](const auto& e) { return e.is_left_out; });
+    return Found{{std::move(looked.information), scale_, static_cast<int>(left_out), {}}, std::move(*looked.remade)};
+  } catch (const std::exception&) {
+  }
+  return std::nullopt;
+}
+
+template <class Pose>
+auto StreamReview<Pose>::Look(const CompactPoseSlam<Pose>& slam, bool is_last) -> std::optional<Found> {
+  std::optional<Found> found;
+  if (!records_) return found;
+  if (over_at_ > 0 && poses_ >= over_at_) found = End();
+  const CompactPoseSlam<Pose>& now = found ? *found->remade.slam : slam;
+  const bool ends = is_last || IsFull();
+  const bool begins = ends ? Loops() > looked_at_ : over_at_ == 0 && Loops() >= std::max(kFirstLoops, 2 * looked_at_);
+  if (begins) {
+    looked_at_ = Loops();
+    Begin(events_.size(), now);
+    over_at_ = poses_ + std::max(kLeastPosesOfLook, poses_ / kShareOfLook);
+  }
+  if (is_last && over_at_ > 0) {
+    std::optional<Found> last = End();
+    if (last) found = std::move(last);
+  }
+  if (ends && over_at_ == 0) Stop();
+  return found;
+}
+
+template <class Pose>
+template <class Archive>
+void StreamReview<Pose>::Serialize(Archive& archive) {
+  auto& [sample_poses, sample_loops, draws, max_iterations, tolerance, seed] = options_.estimate;
+  archive(options_.information, sample_poses, sample_loops, draws, max_iterations, tolerance, seed);
+  archive(scale_.odometry.translation, scale_.odometry.rotation, scale_.loops.translation, scale_.loops.rotation);
+  archive(records_, newest_, before_, poses_, edges_, refused_, looked_at_, events_of_look_, over_at_);
+  archive.Each(events_, [&](StreamEvent<Pose>& event) {
+    auto& [factor, T_world_body, ids, is_left_out] = event;
+    archive(factor, T_world_body, ids, is_left_out);
+  });
+}
+
+template <class Pose>
+std::string StreamReview<Pose>::FindStateDefect() const {
+  const auto is_positive = [](const KindScale& scale) {
+    return scale.translation > 0 && scale.rotation > 0 && std::isfinite(scale.translation + scale.rotation);
+  };
+  if (!is_positive(scale_.odometry) || !is_positive(scale_.loops)) return "a scale that is not positive";
+  for (const auto& event : events_) {
+    if (event.factor && !FindDefect(*event.factor).empty()) return "a measurement: " + FindDefect(*event.factor);
+    if (event.T_world_body && (event.ids.size() != 1 || !IsFinite(*event.T_world_body))) return "a value of no pose";
+  }
+  const long edges = std::count_if(events_.begin(), events_.end(), IsEdge<Pose>);
+  if (edges != edges_ || poses_ < 0) return "another number of measurements than is stated";
+  return over_at_ > 0 && events_of_look_ > events_.size() ? "a look at more than there is" : "";
+}
+
+template <class Pose>
+void StreamReview<Pose>::Resume(const CompactPoseSlam<Pose>& slam) {
+  settings_ = slam.Options();
+  settings_.log = settings_.solver.log = nullptr;
+  if (over_at_ > 0) Begin(events_of_look_, slam);
+}
+
+#define TERSE_INSTANTIATE(Pose)                                           \
+  template struct RemadeMap<Pose>;                                        \
+  template class StreamReview<Pose>;                                      \
+  template void StreamReview<Pose>::Serialize<StateWriter>(StateWriter&); \
+  template void StreamReview<Pose>::Serialize<StateReader>(StateReader&);
+TERSE_INSTANTIATE(SE2)
+TERSE_INSTANTIATE(SE3)
+#undef TERSE_INSTANTIATE
+
+}  // namespace terse::internal

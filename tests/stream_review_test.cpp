@@ -1,0 +1,316 @@
+// Information that a stream states and its residuals contradict: scaled on the way, as if it had been right from the
+// beginning.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <variant>
+
+#include "slow_build.h"
+#include "terse/compact/measurement_stream.h"
+#include "terse/core/arrival.h"
+#include "terse/core/error.h"
+#include "terse/core/evaluate.h"
+#include "terse/core/generate.h"
+#include "terse/core/outliers.h"
+#include "testing_files.h"
+#include "testing_state.h"
+
+namespace terse {
+namespace {
+
+using namespace testing;
+using std::size_t;
+
+template <class Pose>
+struct World {
+  PoseGraph<Pose> graph;
+  std::vector<Pose> truth;
+};
+
+template <class Pose>
+World<Pose> MakeWorld(std::uint64_t seed) {
+  World<Pose> world;
+  GenerateOptions options;
+  options.scene = Pose::kDim == 2 ? Scene::kManhattan : Scene::kTorus;
+  options.poses = 500;
+  options.seed = seed;
+  GenerateSink<Pose> sink;
+  sink.pose = [&](PoseId id, const Pose& T) {
+    world.truth.push_back(T);
+    world.graph.AddPose(id);
+  };
+  sink.edge = [&](const RelativePoseFactor<Pose>& edge) { world.graph.AddFactor(edge); };
+  Generate(options, sink);
+  return world;
+}
+
+template <class Pose>
+PoseGraph<Pose> WithInformation(const PoseGraph<Pose>& graph, double of_unit, double of_stated) {
+  PoseGraph<Pose> out;
+  for (const auto& node : graph.Poses()) out.AddPose(node.id);
+  for (const auto& node : graph.Factors()) {
+    auto edge = std::get<RelativePoseFactor<Pose>>(node.factor);
+    edge.information = of_unit * Pose::Jacobian::Identity() + of_stated * edge.information;
+    out.AddFactor(edge);
+  }
+  return out;
+}
+template <class Pose>
+PoseGraph<Pose> WithIdentity(const PoseGraph<Pose>& graph) {
+  return WithInformation(graph, 1, 0);
+}
+
+template <class Pose>
+std::vector<RelativePoseFactor<Pose>> InOrderOfArrival(const PoseGraph<Pose>& graph) {
+  std::vector<RelativePoseFactor<Pose>> out;
+  for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
+    for (const int k : step.factors) {
+      out.push_back(std::get<RelativePoseFactor<Pose>>(graph.Factors()[static_cast<size_t>(k)].factor));
+    }
+  }
+  return out;
+}
+
+// As `terse online` has them.
+template <class Pose>
+CompactOptions<Pose> Settings() {
+  CompactOptions<Pose> options;
+  options.thresholds.range.setConstant(6);
+  options.thresholds.range[Pose::kDim] = 3;
+  options.solver.robust.kernel = RobustKernel::kGnc;
+  options.solver.robust.quantile = kInnovationQuantile;
+  return options;
+}
+
+template <class Pose>
+struct Streamed {
+  explicit Streamed(const CompactOptions<Pose>& options) : slam(options), stream(slam) {}
+  void Take(const std::vector<StreamOutcome>& outcomes) {
+    for (const StreamOutcome& outcome : outcomes) {
+      if (const auto* decision = std::get_if<Decision>(&outcome)) decisions.push_back(*decision);
+    }
+  }
+  void LookBack(bool at_end) {
+    std::optional<Review> found = stream.TakeReview(at_end);
+    if (!found) return;
+    EXPECT_EQ(found->decisions.size(), decisions.size());
+    decisions = std::move(found->decisions);
+    ++made_again;
+  }
+  void Add(const Factor<Pose>& factor) {
+    Take(stream.Add(factor));
+    LookBack(false);
+  }
+  void Finish() {
+    Take(stream.Flush());
+    LookBack(true);
+  }
+  void AddAll(const PoseGraph<Pose>& graph) {
+    for (const auto& factor : InOrderOfArrival(graph)) Add(factor);
+    Finish();
+  }
+  CompactPoseSlam<Pose> slam;
+  MeasurementStream<Pose> stream;
+  std::vector<Decision> decisions;
+  int made_again = 0;
+};
+
+template <class Pose>
+Streamed<Pose> Calibrated(const PoseGraph<Pose>& graph) {
+  Streamed<Pose> run(Settings<Pose>());
+  run.stream.StartReviews();
+  run.AddAll(graph);
+  return run;
+}
+
+template <class Pose>
+std::string Picture(const CompactPoseSlam<Pose>& slam) {
+  std::string out;
+  for (const auto& pose : slam.Trajectory()) out += Bits(pose.id) + Bits(pose.kept) + Bits(pose.T_world_body);
+  for (const auto& node : slam.Solver().Graph().Factors()) out += Bits(node.id);
+  return out;
+}
+
+double ErrorOf(const CompactPoseSlam<SE2>& slam, const std::vector<SE2>& truth) {
+  const auto in_space = [](const SE2& T) {
+    return SE3(SO3::Exp({0, 0, T.Theta()}), {T.Translation().x(), T.Translation().y(), 0});
+  };
+  std::vector<SE3> estimate, reference;
+  for (const auto& pose : slam.Trajectory()) estimate.push_back(in_space(pose.T_world_body));
+  for (const SE2& T : truth) reference.push_back(in_space(T));
+  return AbsoluteError(estimate, reference);
+}
+
+// The oracle: the first of these measurements, scaled from the beginning.
+template <class Pose>
+Streamed<Pose> WithScale(const std::vector<RelativePoseFactor<Pose>>& factors, const InformationScale& scale) {
+  CompactOptions<Pose> settings = Settings<Pose>();
+  if (!scale.IsOne()) settings.innovation_quantile = settings.solver.robust.quantile = kInnovationQuantileOfScaled;
+  Streamed<Pose> run(settings);
+  run.stream = MeasurementStream<Pose>(run.slam, scale);
+  for (const auto& factor : factors) run.Take(run.stream.Add(factor));
+  return run;
+}
+
+template <class Pose>
+void ExpectAsIfTheScaleHadBeenKnown(std::uint64_t seed) {
+  SCOPED_TRACE(seed);
+  const PoseGraph<Pose> graph = WithIdentity(MakeWorld<Pose>(seed).graph);
+  const Streamed<Pose> run = Calibrated(graph);
+  EXPECT_GE(run.made_again, 1);
+  EXPECT_FALSE(run.stream.Scale().IsOne());
+  Streamed<Pose> other = WithScale(InOrderOfArrival(graph), run.stream.Scale());
+  other.Finish();
+  EXPECT_TRUE(Picture(run.slam) == Picture(other.slam));
+  ASSERT_EQ(run.decisions.size(), other.decisions.size());
+  for (size_t k = 0; k < other.decisions.size(); ++k) {
+    EXPECT_EQ(run.decisions[k].id, other.decisions[k].id);
+    EXPECT_EQ(run.decisions[k].verdict, other.decisions[k].verdict);
+  }
+  // What is odometry and what a loop is as where the whole graph is scaled.
+  Streamed<Pose> of_scaled(other.slam.Options());
+  of_scaled.AddAll(ScaleInformation(graph, run.stream.Scale()));
+  EXPECT_TRUE(Picture(of_scaled.slam) == Picture(other.slam));
+}
+
+TEST(StreamReview, EndsAsIfTheScaleHadBeenKnown) {
+  ExpectAsIfTheScaleHadBeenKnown<SE2>(71);
+  ExpectAsIfTheScaleHadBeenKnown<SE2>(72);
+  ExpectAsIfTheScaleHadBeenKnown<SE3>(73);
+}
+
+// At any time, whatever was found so far.
+TEST(StreamReview, TheMapIsAlwaysThatOfItsScale) {
+  const auto factors = InOrderOfArrival(WithIdentity(MakeWorld<SE2>(74).graph));
+  Streamed<SE2> run(Settings<SE2>());
+  run.stream.StartReviews();
+  int compared = 0, made_again = 0;
+  for (size_t n = 0; n < factors.size(); ++n) {
+    run.Add(factors[n]);
+    if (run.made_again == made_again && n % 150 != 0) continue;
+    made_again = run.made_again;
+    const std::vector<RelativePoseFactor<SE2>> so_far(factors.begin(), factors.begin() + static_cast<long>(n) + 1);
+    const Streamed<SE2> other = WithScale(so_far, run.stream.Scale());
+    ASSERT_TRUE(Picture(run.slam) == Picture(other.slam)) << "after " << n;
+    EXPECT_EQ(run.stream.Open(), other.stream.Open());
+    ++compared;
+  }
+  EXPECT_GE(made_again, 1);
+  EXPECT_GE(compared, 5);
+}
+
+template <class Pose>
+void ExpectRightInformationStays(std::uint64_t seed) {
+  SCOPED_TRACE(seed);
+  const PoseGraph<Pose> graph = MakeWorld<Pose>(seed).graph;
+  Streamed<Pose> plain(Settings<Pose>());
+  plain.AddAll(graph);
+  const Streamed<Pose> run = Calibrated(graph);
+  EXPECT_TRUE(run.stream.Scale().IsOne());
+  EXPECT_EQ(run.made_again, 0);
+  EXPECT_TRUE(Picture(run.slam) == Picture(plain.slam));
+}
+
+TEST(StreamReview, RightInformationStays) {
+  for (const std::uint64_t seed : Seeds(81, 84)) ExpectRightInformationStays<SE2>(seed);
+  ExpectRightInformationStays<SE3>(85);
+}
+
+// Unit matrices, and a hundred times too certain: what such maps were like, and what they are.
+TEST(StreamReview, InventedInformationDoesNotLoseTheMap) {
+  const World<SE2> world = MakeWorld<SE2>(91);
+  const PoseGraph<SE2> wrong = AddWrongLoops(world.graph, world.truth, 43, 91).graph;
+  Streamed<SE2> right(Settings<SE2>());
+  right.AddAll(world.graph);
+  const double clean = ErrorOf(right.slam, world.truth);
+  Streamed<SE2> plain(Settings<SE2>());
+  plain.AddAll(WithInformation(wrong, 0, 1e4));
+  EXPECT_GT(ErrorOf(plain.slam, world.truth), 3 * clean);
+  for (const auto& graph : {wrong, WithIdentity(wrong), WithInformation(wrong, 0, 1e4)}) {
+    EXPECT_LT(ErrorOf(Calibrated(graph).slam, world.truth), 1.5 * clean);
+  }
+}
+
+// A look on the way included.
+TEST(StreamReview, GoesOnFromAFile) {
+  const TestFile file("stream.state");
+  const PoseGraph<SE2> graph = WithIdentity(MakeWorld<SE2>(95).graph);
+  const std::string whole = Picture(Calibrated(graph).slam);
+  const auto factors = InOrderOfArrival(graph);
+  for (const size_t saved_at : {factors.size() / 20, factors.size() / 5, factors.size() / 3}) {
+    Streamed<SE2> begun(Settings<SE2>());
+    begun.stream.StartReviews();
+    for (size_t k = 0; k < saved_at; ++k) begun.Add(factors[k]);
+    begun.stream.Save(file.Path());
+    Streamed<SE2> run(Settings<SE2>());
+    run.stream = MeasurementStream<SE2>::Load(file.Path(), run.slam);
+    run.decisions = begun.decisions;
+    for (size_t k = saved_at; k < factors.size(); ++k) run.Add(factors[k]);
+    run.Finish();
+    EXPECT_TRUE(Picture(run.slam) == whole) << saved_at;
+  }
+}
+
+// Poses that were given up are in no map that is made later.
+TEST(StreamReview, DiscardedPosesAreForgotten) {
+  const PoseGraph<SE2> graph = WithIdentity(MakeWorld<SE2>(96).graph);
+  Streamed<SE2> run(Settings<SE2>());
+  run.stream.StartReviews();
+  const auto factors = InOrderOfArrival(graph);
+  const std::int64_t kNowhere = 1000000;
+  for (size_t k = 0; k < factors.size(); ++k) {
+    run.Add(factors[k]);
+    const bool is_closed = k + 1 < factors.size() && !run.slam.HasSeen(factors[k + 1].to) &&
+                           run.stream.Open() != factors[k + 1].to && k % 40 < 2;
+    if (!is_closed) continue;
+    const PoseId newest = *run.stream.Open();
+    run.Take(run.stream.Flush());
+    run.stream.SetValue({kNowhere}, SE2({1e3, 0}, 1));
+    run.Add(RelativePoseFactor<SE2>{newest, {kNowhere}, SE2({50, 3}, 1), Matrix<3, 3>::Identity()});
+    run.Add(RelativePoseFactor<SE2>{factors[0].from, {kNowhere}, SE2({-9, 3}, 1), Matrix<3, 3>::Identity()});
+    run.stream.Discard();
+  }
+  run.Finish();
+  EXPECT_GE(run.made_again, 1);
+  EXPECT_FALSE(run.slam.HasSeen({kNowhere}));
+  Streamed<SE2> other = WithScale(factors, run.stream.Scale());
+  other.Finish();
+  EXPECT_TRUE(Picture(run.slam) == Picture(other.slam));
+}
+
+TEST(StreamReview, StopsWhenItIsTold) {
+  const PoseGraph<SE2> graph = WithIdentity(MakeWorld<SE2>(97).graph);
+  const auto factors = InOrderOfArrival(graph);
+  Streamed<SE2> run(Settings<SE2>());
+  run.stream.StartReviews();
+  size_t k = 0;
+  while (run.made_again == 0) run.Add(factors[k++]);
+  const InformationScale scale = run.stream.Scale();
+  run.stream.EndReviews();
+  while (k < factors.size()) run.Add(factors[k++]);
+  run.Finish();
+  EXPECT_EQ(run.made_again, 1);
+  EXPECT_EQ(run.stream.Scale().loops.translation, scale.loops.translation);
+  EXPECT_EQ(run.stream.Scale().odometry.rotation, scale.odometry.rotation);
+  EXPECT_THROW(run.stream.StartReviews(), std::logic_error);
+}
+
+// With few poses asked for it looks at the beginning only, and holds no more.
+TEST(StreamReview, LooksAtTheBeginningOnly) {
+  const PoseGraph<SE2> graph = WithIdentity(MakeWorld<SE2>(98).graph);
+  Streamed<SE2> run(Settings<SE2>());
+  ReviewOptions options;
+  options.estimate.sample_poses = 40;
+  options.estimate.sample_loops = 20;
+  run.stream.StartReviews(options);
+  const auto factors = InOrderOfArrival(graph);
+  for (size_t k = 0; k < factors.size(); ++k) run.Add(factors[k]);
+  const InformationScale scale = run.stream.Scale();
+  EXPECT_FALSE(scale.IsOne());
+  run.Finish();
+  EXPECT_EQ(run.stream.Scale().loops.translation, scale.loops.translation);
+}
+
+}  // namespace
+}  // namespace terse
