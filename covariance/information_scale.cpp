@@ -46,6 +46,8 @@ constexpr double kRoomBesideCopies = 15;
 // Where so few loops close too few short cycles, smaller scales than the residuals' are tried in turn.
 constexpr long kLeastLoops = 4, kMostLoops = 200;
 constexpr std::array<double, 3> kSmaller = {1.0 / 4, 1.0 / 16, 1.0 / 64};
+// Somebody's guess may be right but for one factor: these are tried too, up to what residuals say.
+constexpr std::array<double, 6> kOfStated = {64, 16, 4, 1.0 / 4, 1.0 / 16, 1.0 / 64};
 constexpr double kLeastRedundancy = 5;
 constexpr double kMostLogError = 0.35;
 // No sensor is better: of a step, and radians. Residuals below are rounding, or measurements that are copies of one
@@ -292,26 +294,41 @@ class Estimator {
     if (over_stated > kLarger && (bends || out_.agreeing_loops > kManyAgree)) Try({1, 1}, best, lowest);
     if (!bends) return;
     if (cycles) Try(*cycles, best, lowest);
-    if (cycles || sample_.loops < kLeastLoops || sample_.loops > kMostLoops) return;
     const KindScale first = {best.found[0].estimate.sigma_factor, best.found[1].estimate.sigma_factor};
-    for (const double share : kSmaller) {
-      const KindScale start = {share * first.translation, share * first.rotation};
-      Try(start, best, lowest);
-      if (IsBelowFloor(start)) return;  // all of these are the same
+    if (!cycles && sample_.loops >= kLeastLoops && sample_.loops <= kMostLoops) {
+      for (const double share : kSmaller) {
+        const KindScale start = {share * first.translation, share * first.rotation};
+        Try(start, best, lowest);
+        if (IsBelowFloor(start)) break;  // all of these are the same
+      }
+    }
+    for (const double factor : kOfStated) {
+      if (factor < over_stated && !IsBelowFloor({factor, factor})) Try({factor, factor}, best, lowest);
     }
   }
 
-  // Whether the attempt from there is more probable than the best one, whose cost is `lowest` if that is known.
+  // Whether the attempt from there is more probable than the best one, whose cost is `lowest` if that is known. Of a
+  // few loops, some of them wrong, residuals may take one of translation and rotation to its floor and leave all to the
+  // other: where that is less probable, the scales that it began with are better.
   bool Try(const KindScale& start, Attempt& best, std::optional<double>& lowest) {
     const bool is_below = IsBelowFloor(start);
     if (!lowest && !is_below) lowest = Cost(best.log_scale);
-    if (!is_below && Cost(LogScales(start)) >= *lowest) return false;
+    const double at_start = is_below ? std::numeric_limits<double>::infinity() : Cost(LogScales(start));
+    if (!is_below && at_start >= *lowest) return false;
     Attempt other = AttemptFrom(start);
     const auto is_of_copies = [](const Found& f) { return f.estimate.at_floor; };
     const bool all_copies = std::all_of(other.found.begin(), other.found.end(), is_of_copies);
     if (!other.out.failure.empty() || all_copies) return false;  // copies alone tell nothing
     if (!lowest) lowest = Cost(best.log_scale);
-    const double cost = Cost(other.log_scale);
+    double cost = Cost(other.log_scale);
+    if (std::any_of(other.found.begin(), other.found.end(), is_of_copies) && at_start < cost) {
+      cost = at_start;
+      other.log_scale = LogScales(start);
+      for (int g = 0; g < kGroups; ++g) {
+        other.found[At(g)].estimate.sigma_factor = std::exp(other.log_scale[At(g)]);
+        other.found[At(g)].estimate.at_floor = false;
+      }
+    }
     if (cost >= *lowest) return false;
     lowest = cost;
     other.out.normalized_chi2 = best.out.normalized_chi2;

@@ -174,32 +174,57 @@ TEST(InformationScale, HalfOfTheLoopsMayBeWrong) {
   ExpectHalfMayBeWrong<SE3>(Scene::kTorus, 53);
 }
 
-// So few loops, far from one another, that no short cycle tells the scale.
-TEST(InformationScale, HalfOfAFewLoopsMayBeWrong) {
+// Two laps whose loops are so few, and so far from one another, that no short cycle tells the scale; and with some
+// wrong ones. Deviations are 0.05 m and 0.01 rad.
+struct FewLoops {
+  PoseGraph<SE2> clean, wrong;
+};
+FewLoops MakeFewLoops(std::uint64_t seed, const Matrix<3, 3>& information, int wrong_every) {
   constexpr int kLap = 300, kApart = 20;
-  for (const std::uint64_t seed : {61, 62, 63, 64}) {
-    testing::Random random(seed);
-    PoseGraph<SE2> clean, wrong;
-    const auto link = [](PoseGraph<SE2>& graph, int from, int to, const SE2& T) {
-      graph.AddFactor(RelativePoseFactor<SE2>{{from}, {to}, T, Matrix<3, 3>::Identity()});
-    };
-    const SE2 along = SE2::Exp({1, 0, 2 * std::acos(-1.0) / kLap});
-    for (int k = 0; k < 2 * kLap; ++k) {
-      clean.AddPose({k});
-      wrong.AddPose({k});
-      const SE2 error =
-          SE2::Exp({0.05 * testing::Normal(random), 0.05 * testing::Normal(random), 0.01 * testing::Normal(random)});
-      const bool closes = k >= kLap && k % kApart == 0;
-      for (PoseGraph<SE2>* graph : {&clean, &wrong}) {
-        if (k > 0) link(*graph, k - 1, k, along * error);
-        if (closes) link(*graph, k - kLap, k, error);
-      }
-      if (closes) link(wrong, (k - kLap + 90) % kLap, k - 7, testing::RandomMotion<SE2>(random, 1, 0.3));
+  testing::Random random(seed);
+  FewLoops out;
+  const auto link = [&](PoseGraph<SE2>& graph, int from, int to, const SE2& T) {
+    graph.AddFactor(RelativePoseFactor<SE2>{{from}, {to}, T, information});
+  };
+  const SE2 along = SE2::Exp({1, 0, 2 * std::acos(-1.0) / kLap});
+  for (int k = 0; k < 2 * kLap; ++k) {
+    out.clean.AddPose({k});
+    out.wrong.AddPose({k});
+    const SE2 error =
+        SE2::Exp({0.05 * testing::Normal(random), 0.05 * testing::Normal(random), 0.01 * testing::Normal(random)});
+    const bool closes = k >= kLap && k % kApart == 0;
+    for (PoseGraph<SE2>* graph : {&out.clean, &out.wrong}) {
+      if (k > 0) link(*graph, k - 1, k, along * error);
+      if (closes) link(*graph, k - kLap, k, error);
     }
-    const auto found = EstimateInformationScale(wrong), expected = EstimateInformationScale(clean);
+    const SE2 wrong = testing::RandomMotion<SE2>(random, 1, 0.3);
+    if (closes && k / kApart % wrong_every == 0) link(out.wrong, (k - kLap + 90) % kLap, k - 7, wrong);
+  }
+  return out;
+}
+
+TEST(InformationScale, HalfOfAFewLoopsMayBeWrong) {
+  for (const std::uint64_t seed : {61, 62, 63, 64}) {
+    const FewLoops graphs = MakeFewLoops(seed, Matrix<3, 3>::Identity(), 1);
+    const auto found = EstimateInformationScale(graphs.wrong), expected = EstimateInformationScale(graphs.clean);
     EXPECT_EQ(found.loops_left_out, found.loop_edges / 2) << seed;
     ExpectNear(found.odometry.translation, expected.odometry.translation.sigma_factor, std::log(1.3), "translation");
     ExpectNear(found.odometry.rotation, expected.odometry.rotation.sigma_factor, std::log(1.3), "rotation");
+  }
+}
+
+// A guess that is too certain, or too cautious, by one factor.
+TEST(InformationScale, AGuessIsRightButForOneFactorWithAFewLoopsWrong) {
+  for (const double factor : {0.03, 15.0}) {
+    for (const std::uint64_t seed : testing::Seeds(61, 66)) {
+      const Matrix<3, 3> information =
+          Vector<3>(400, 400, 10000).asDiagonal() * Matrix<3, 3>::Identity() * (factor * factor);
+      const FewLoops graphs = MakeFewLoops(seed, information, 2);
+      const auto found = CalibrateInformation(graphs.wrong);
+      ASSERT_EQ(found.verdict, InformationVerdict::kContradicted) << found.message;
+      EXPECT_NEAR(std::log(found.scale.odometry.translation / factor), 0, std::log(2)) << seed;
+      EXPECT_NEAR(std::log(found.scale.odometry.rotation / factor), 0, std::log(2)) << seed;
+    }
   }
 }
 
