@@ -21,6 +21,8 @@ namespace terse {
 namespace {
 // Looks at the loops that are out, each time from a new minimum.
 constexpr int kMostFinishRounds = 10;
+// Before the last round: with wrong loops in, a solver creeps, and what is judged need not be that near.
+constexpr int kIterationsOfRound = 20;
 // A step without loops that still expects to lower the cost by so many loops: the steps lead nowhere.
 constexpr double kDiverging = 1e3;
 constexpr double kSameMinimum = 1e-3;
@@ -318,11 +320,12 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
     StepReport report;
     typename Parts::Step step{options_, map, relinearization, report};
     judge.DropRefused(step);
-    // What is judged has to be at its minimum.
-    FinishFrom(Estimates(), options);
+    BatchOptions near = options;
+    near.max_iterations = std::min(options.max_iterations, kIterationsOfRound);
+    FinishFrom(Estimates(), near);
     for (int round = 0; round < kMostFinishRounds; ++round) {
       if (!judge.ReviewAllOdometry(step) && !judge.JudgeParkedGroups(step)) break;
-      FinishFrom(Estimates(), options);
+      FinishFrom(Estimates(), near);
     }
   }
   return FinishFrom(Estimates(), options);

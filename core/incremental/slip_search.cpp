@@ -22,6 +22,8 @@ constexpr int kReachOfPlace = 9;
 constexpr double kMuchLess = 9;
 constexpr size_t kMostWitnesses = 30;
 constexpr double kTolerance = 1e-6;  // of costs that are compared
+// With wrong loops among those that are in, a solver creeps; what it is worth shows long before.
+constexpr int kMostIterations = 20;
 
 // From index `first` to a later one.
 template <class Pose>
@@ -236,6 +238,7 @@ class Search {
     }
     BatchOptions options;
     options.relative_tolerance = kTolerance;
+    options.max_iterations = kMostIterations;
     const BatchResult<Pose> with = SolveBatch(WithWeights(map_.Graph(), weights), slip.T_world_body, options);
     if (with.termination == Termination::kNotPositiveDefinite) return {std::numeric_limits<double>::infinity(), {}};
     const double price = slip.odometry ? kSlipPrice * k_ : 0;
