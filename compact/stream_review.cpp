@@ -206,7 +206,7 @@ bool StreamReview<Pose>::IsInDoubt() const {
 }
 
 template <class Pose>
-bool StreamReview<Pose>::IsFull() const {
+bool StreamReview<Pose>::IsEnough() const {
   const EstimateOptions& sample = options_.estimate;
   return (poses_ >= sample.sample_poses && Loops() >= sample.sample_loops) ||
          poses_ >= kMostPosesOf * sample.sample_poses || Loops() >= kMostLoopsOf * sample.sample_loops;
@@ -284,21 +284,24 @@ template <class Pose>
 auto StreamReview<Pose>::Look(const CompactPoseSlam<Pose>& slam, bool is_last) -> std::optional<Found> {
   std::optional<Found> found;
   if (!records_) return found;
-  if (over_at_ > 0 && poses_ >= over_at_) found = End();
-  const CompactPoseSlam<Pose>& now = found ? *found->remade.slam : slam;
-  const bool ends = is_last || IsFull();
-  const bool begins = ends ? Loops() > looked_at_ : over_at_ == 0 && Loops() >= std::max(kFirstLoops, 2 * looked_at_);
-  if (begins) {
+  if (over_at_ > 0 && (is_last || poses_ >= over_at_)) {
+    found = End();
+    if (is_last_look_) Stop();
+  }
+  if (!records_ || over_at_ > 0) return found;
+  const bool is_enough = IsEnough();
+  const long least = is_last || is_enough ? looked_at_ + 1 : std::max(kFirstLoops, 2 * looked_at_);
+  if (Loops() >= least) {
     looked_at_ = Loops();
-    Begin(events_.size(), now);
+    is_last_look_ = is_enough;
+    Begin(events_.size(), found ? *found->remade.slam : slam);
     over_at_ = poses_ + std::max(kLeastPosesOfLook, poses_ / kShareOfLook);
+  } else if (is_enough) {
+    Stop();
   }
-  if (is_last && over_at_ > 0) {
-    std::optional<Found> last = End();
-    if (last) found = std::move(last);
-  }
-  if (ends && over_at_ == 0) Stop();
-  return found;
+  if (!is_last || over_at_ == 0) return found;
+  std::optional<Found> last = End();
+  return last ? std::move(last) : std::move(found);
 }
 
 template <class Pose>
@@ -307,7 +310,7 @@ void StreamReview<Pose>::Serialize(Archive& archive) {
   auto& [sample_poses, sample_loops, draws, max_iterations, tolerance, seed] = options_.estimate;
   archive(options_.information, sample_poses, sample_loops, draws, max_iterations, tolerance, seed);
   archive(scale_.odometry.translation, scale_.odometry.rotation, scale_.loops.translation, scale_.loops.rotation);
-  archive(records_, newest_, before_, poses_, edges_, refused_, looked_at_, events_of_look_, over_at_);
+  archive(records_, newest_, before_, poses_, edges_, refused_, looked_at_, is_last_look_, events_of_look_, over_at_);
   archive.Each(events_, [&](StreamEvent<Pose>& event) {
     auto& [factor, T_world_body, ids, is_left_out] = event;
     archive(factor, T_world_body, ids, is_left_out);

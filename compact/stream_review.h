@@ -98,7 +98,7 @@ class StreamReview {
   static Looked LookAt(Beginning beginning);
   long Loops() const { return edges_ - std::max(0L, poses_ - 1); }
   bool IsInDoubt() const;
-  bool IsFull() const;
+  bool IsEnough() const;
   void Begin(std::size_t events, const CompactPoseSlam<Pose>& slam);
   std::optional<Found> End();
 
@@ -111,6 +111,7 @@ class StreamReview {
   long poses_ = 0, edges_ = 0;             // of the events
   long refused_ = 0;                       // loops, by the map
   long looked_at_ = 0;                     // loops
+  bool is_last_look_ = false;              // for all that is to be held is there
   // A look on the way: events that it is about, and with how many poses it is over; 0: there is none.
   std::size_t events_of_look_ = 0;
   long over_at_ = 0;
