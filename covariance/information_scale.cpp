@@ -317,18 +317,20 @@ class Estimator {
     if (!is_below && at_start >= *lowest) return false;
     Attempt other = AttemptFrom(start);
     const auto is_of_copies = [](const Found& f) { return f.estimate.at_floor; };
-    const bool all_copies = std::all_of(other.found.begin(), other.found.end(), is_of_copies);
-    if (!other.out.failure.empty() || all_copies) return false;  // copies alone tell nothing
-    if (!lowest) lowest = Cost(best.log_scale);
-    double cost = Cost(other.log_scale);
+    // Copies alone tell nothing.
+    const bool fails = !other.out.failure.empty() || std::all_of(other.found.begin(), other.found.end(), is_of_copies);
+    if (!lowest && !fails) lowest = Cost(best.log_scale);
+    double cost = fails ? std::numeric_limits<double>::infinity() : Cost(other.log_scale);
     if (std::any_of(other.found.begin(), other.found.end(), is_of_copies) && at_start < cost) {
       cost = at_start;
+      other.out.failure.clear();
       other.log_scale = LogScales(start);
       for (int g = 0; g < kGroups; ++g) {
         other.found[At(g)].estimate.sigma_factor = std::exp(other.log_scale[At(g)]);
         other.found[At(g)].estimate.at_floor = false;
       }
     }
+    if (fails && cost == std::numeric_limits<double>::infinity()) return false;
     if (cost >= *lowest) return false;
     lowest = cost;
     other.out.normalized_chi2 = best.out.normalized_chi2;
