@@ -407,6 +407,57 @@ TEST_F(OnlineCommand, TellsWhichPosesRetire) {
   }
 }
 
+// The unit matrix for information, a third of the loops wrong: the map is made again, an answer says what is in it, and
+// a journal, cut anywhere, with or without a snapshot, leads to the same map.
+TEST_F(OnlineCommand, LooksBackAtWhatWasMeasured) {
+  Succeed("generate manhattan --poses 300 --seed 5 --outliers 43 --output in.g2o --quiet");
+  std::istringstream lines(Read("in.g2o"));
+  std::vector<std::pair<std::pair<int, int>, std::string>> edges;  // by arrival: odometry before the loops of a pose
+  for (std::string tag, line; std::getline(lines, line);) {
+    std::istringstream words(line);
+    int from = 0, to = 0;
+    std::string x, y, theta;
+    if (!(words >> tag >> from >> to >> x >> y >> theta) || tag != "EDGE_SE2") continue;
+    edges.push_back({{std::max(from, to), std::abs(from - to) != 1},
+                     tag + ' ' + std::to_string(from) + ' ' + std::to_string(to) + ' ' + x + ' ' + y + ' ' + theta +
+                         " 1 0 0 1 0 1\n"});
+  }
+  std::stable_sort(edges.begin(), edges.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  std::string all, half, rest;
+  for (std::size_t k = 0; k < edges.size(); ++k) {
+    all += edges[k].second;
+    (k < edges.size() / 2 ? half : rest) += edges[k].second;
+  }
+  Write("all", all);
+  Write("half", half);
+  Write("rest", rest);
+  const std::string online = "online --range 6 6 3.2 ";
+  const auto answers = ParseLines(Succeed(online + "--output whole < all").out);
+  std::size_t made_again = 0;
+  for (const json& answer : answers) {
+    if (!answer.contains("made_again")) continue;
+    ++made_again;
+    EXPECT_GT(answer.at("poses_kept").size(), 1u);
+    for (const char* key : {"information", "message", "sigma_scale", "loops_left_out", "links_kept"}) {
+      EXPECT_TRUE(answer.contains(key)) << key;
+    }
+  }
+  EXPECT_GE(made_again, 1u);
+  EXPECT_EQ(CsvRows(Read("whole/decisions.csv")).size(), 300u);
+  Succeed(online + "--journal journal < half > answers");
+  Succeed(online + "--journal journal --output resumed --quiet < rest");
+  EXPECT_EQ(Read("resumed/compact.g2o"), Read("whole/compact.g2o"));
+  EXPECT_EQ(Read("resumed/decisions.csv"), Read("whole/decisions.csv"));
+  Succeed(online + "--remember all --journal small --journal-size 0.02 --quiet < half");
+  EXPECT_NE(Read("small").find("\"snapshot\""), std::string::npos);
+  Succeed(online + "--remember all --journal small --output again --quiet < rest");
+  EXPECT_EQ(Read("again/compact.g2o"), Read("whole/compact.g2o"));
+  for (const json& answer : ParseLines(Succeed(online + "--review off < all").out)) {
+    EXPECT_FALSE(answer.contains("made_again"));
+  }
+  ExpectFailure(online + "--journal journal --review off < all", 1, "review is \"all\" there, null now");
+}
+
 // As compact has it, where results are written; the journal knows nothing of it, so that a run goes on as if it had not
 // ended.
 TEST_F(OnlineCommand, PosesRetireAtTheEndOfTheInput) {
