@@ -16,8 +16,9 @@
 //
 // So many wrong loops that none stands out bend the map, and residuals with it. So the scale at which short cycles
 // close is tried too (two loops between the same places and the odometry between their ends: wrong loops are in few of
-// those, or agree with each other in groups), and the information as stated: truncated least squares tells wrong loops
-// apart there, and scales are estimated from the others. The scales under which the measurements are most probable are
+// those, or agree with each other in groups), and the information as stated, also times powers of four, for a guess is
+// often right but for one factor: truncated least squares tells wrong loops apart there, and scales are estimated from
+// the others. The scales under which the measurements are most probable are
 // the estimate: poses integrated out (Laplace's approximation: MacKay, "Bayesian interpolation", Neural Computation
 // 4(3), 1992), a wrong loop anywhere in the range of what loops say, the others of a group of wrong ones as their
 // cycles close.
