@@ -227,8 +227,8 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
     if (is_told && !AreSame(out.information.scale, beginning.scale)) {
       out.scale = out.information.scale;
       make_again();
-      beginning.is_in_doubt =
-          beginning.is_in_doubt || AreLoopsInDoubt(out.remade->refused, edges.graph.Factors().size());
+      const auto loops = std::count(edges.opens.begin(), edges.opens.end(), 0);
+      beginning.is_in_doubt = beginning.is_in_doubt || AreLoopsInDoubt(out.remade->refused, loops);
       beginning.trajectory = out.remade->slam->Trajectory();
     }
   }
