@@ -3,11 +3,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <iterator>
 #include <limits>
 #include <stdexcept>
 
 #include "information_kinds.h"
+#include "information_sample.h"
+#include "residual_group.h"
 #include "terse/core/at.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/chi_square.h"
@@ -25,10 +26,11 @@ namespace {
 
 using internal::At;
 using internal::BlockSquares;
+using internal::InformationSample;
 using internal::ProbeTerm;
+using internal::ResidualGroup;
 using std::size_t;
 
-constexpr double kCut = 4;            // expected squares, beyond which a residual counts no more
 constexpr double kStandsOut = 9;      // times the other loops' squares: loses weight
 constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of the robust kernel
 constexpr int kStepsTogether = 2;
@@ -60,106 +62,6 @@ int GroupOf(bool is_loop, bool is_rotation) { return (is_loop ? 2 : 0) + (is_rot
 template <class Value>
 using ByGroup = std::array<Value, kGroups>;
 
-// Squares of a group's residuals over those that the draws lead to expect.
-struct Group {
-  std::vector<double> squares, expected, weights;  // by edge; expected: per scalar
-  std::vector<std::vector<double>> drawn;          // by edge, by draw
-  int scalars = 1;                                 // of an edge
-
-  void Add(double square, std::vector<double> draws, double weight) {
-    double mean = 0;
-    for (const double d : draws) mean += d / static_cast<double>(draws.size());
-    mean = std::max(mean, std::numeric_limits<double>::min());
-    for (double& d : draws) d /= mean;
-    squares.push_back(square / mean);
-    expected.push_back(mean);
-    weights.push_back(weight);
-    drawn.push_back(std::move(draws));
-  }
-  void Append(Group&& other) {
-    const auto append = [](auto& to, auto& from) {
-      to.insert(to.end(), std::make_move_iterator(from.begin()), std::make_move_iterator(from.end()));
-    };
-    append(squares, other.squares);
-    append(expected, other.expected);
-    append(weights, other.weights);
-    append(drawn, other.drawn);
-  }
-  double Redundancy() const {
-    double sum = 0;
-    for (size_t k = 0; k < expected.size(); ++k) sum += scalars * weights[k] * expected[k];
-    return sum;
-  }
-  // The factor on variances with which the residuals, cut, add up to what the draws do; and the standard error of its
-  // logarithm. Without cut: the plain ratio.
-  std::pair<double, double> VarianceFactor(bool cut) const {
-    const double limit = cut ? kCut : std::numeric_limits<double>::infinity();
-    const auto sum = [&](const auto& square_of) {
-      double total = 0;
-      for (size_t k = 0; k < expected.size(); ++k) total += weights[k] * expected[k] * std::min(square_of(k), limit);
-      return total;
-    };
-    const size_t draws = drawn.empty() ? 0 : drawn.front().size();
-    double mean = 0, square = 0;
-    for (size_t d = 0; d < draws; ++d) {
-      const double one = sum([&](size_t k) { return drawn[k][d]; });
-      mean += one / static_cast<double>(draws);
-      square += one * one / static_cast<double>(draws);
-    }
-    if (!(mean > 0)) return {1, std::numeric_limits<double>::infinity()};
-    const double error = std::sqrt(std::max(0.0, square / (mean * mean) - 1));
-    double low = -80, high = 80;  // of the logarithm
-    for (int i = 0; i < 60; ++i) {
-      const double middle = (low + high) / 2, factor = std::exp(-middle);
-      (sum([&](size_t k) { return squares[k] * factor; }) > mean ? low : high) = middle;
-    }
-    return {std::exp((low + high) / 2), error};
-  }
-};
-
-double Median(std::vector<double> values) {
-  if (values.empty()) return 1;
-  const auto middle = values.begin() + static_cast<long>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return std::max(*middle, std::numeric_limits<double>::min());
-}
-
-// Where loops are dense fewer poses tell enough.
-constexpr long kMostLoopsOf = 10;
-
-// The beginning of a graph, its relative factors only. Factor k of the graph is term k.
-template <class Pose>
-struct Sample {
-  PoseGraph<Pose> graph;
-  std::vector<ProbeTerm<Pose>> terms;
-  std::vector<char> is_loop;
-  long loops = 0;
-};
-
-template <class Pose>
-Sample<Pose> TakeSample(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
-  Sample<Pose> sample;
-  for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
-    const auto poses = static_cast<long>(sample.graph.Poses().size());
-    if (poses >= options.sample_poses && sample.loops >= options.sample_loops) break;
-    if (sample.loops >= kMostLoopsOf * options.sample_loops) break;
-    for (const int p : step.poses) {
-      const auto& node = graph.Poses()[At(p)];
-      sample.graph.AddPose(node.id, node.T_world_body);
-    }
-    for (const int f : step.factors) {
-      const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&graph.Factors()[At(f)].factor);
-      if (edge == nullptr) continue;
-      const int from = sample.graph.IndexOf(edge->from), to = sample.graph.IndexOf(edge->to);
-      sample.graph.AddFactor(*edge);
-      sample.terms.push_back({from, to, *edge, 1});
-      sample.is_loop.push_back(std::abs(from - to) > 1);
-      sample.loops += sample.is_loop.back();
-    }
-  }
-  return sample;
-}
-
 template <class Pose>
 double CostOf(const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
   double cost = 0;
@@ -185,33 +87,15 @@ std::vector<Pose> StartOf(const PoseGraph<Pose>& graph) {
   return composed;
 }
 
-// Each loop against the odometry alone, so that wrong ones do not matter to the others: in exponential coordinates what
-// a long chain knows is normal too.
-template <class Pose>
-double ShareOfAgreeingLoops(const Sample<Pose>& sample) {
-  using Jacobian = typename Pose::Jacobian;
-  const internal::OdometryChain<Pose> odometry(sample.terms, sample.graph.Poses().size());
-  if (!odometry.IsWhole() || sample.loops == 0) return 0;
-  const double most = ChiSquareQuantile(0.99, Pose::kDof);
-  long agreeing = 0;
-  for (const auto& loop : internal::LoopMeasurements(sample.terms, sample.is_loop)) {
-    const Pose difference = loop.T_first_last.Inverse() * odometry.Way(loop.first, loop.last);
-    const Jacobian Ad = difference.Inverse().Adjoint();
-    const Jacobian sum = odometry.CovarianceOf(loop.first, loop.last) + Ad * loop.covariance * Ad.transpose();
-    agreeing += sum.llt().matrixL().solve(difference.Log()).squaredNorm() <= most;
-  }
-  return static_cast<double>(agreeing) / static_cast<double>(sample.loops);
-}
-
 template <class Pose>
 class Estimator {
  public:
   Estimator(const PoseGraph<Pose>& graph, const EstimateOptions& options)
-      : options_(options), stated_(DescribeInformation(graph)), sample_(TakeSample(graph, options)) {
+      : options_(options), stated_(DescribeInformation(graph)), sample_(internal::TakeSample(graph, options)) {
     out_.poses = static_cast<long>(sample_.graph.Poses().size());
     out_.edges = static_cast<long>(sample_.terms.size());
     out_.loop_edges = sample_.loops;
-    out_.agreeing_loops = ShareOfAgreeingLoops(sample_);
+    out_.agreeing_loops = internal::ShareOfAgreeingLoops(sample_);
     for (const bool is_loop : {false, true}) {
       const StatedKind& kind = is_loop && stated_.loops.edges > 0 ? stated_.loops : stated_.odometry;
       // In 2D and 3D alike a step of zero length (a robot that turns on the spot) leaves the floor to rotation.
@@ -465,7 +349,7 @@ class Estimator {
     values = result.T_world_body;
     if (is_suspicious_) TakeWeights(result.weights, terms);
     const auto draws = internal::DrawResiduals(terms, values, result.cholesky, options_.draws, options_.seed);
-    ByGroup<Group> groups = Collect(terms, values, draws);
+    ByGroup<ResidualGroup> groups = Collect(terms, values, draws);
     if (is_first && is_robust && !is_suspicious_) NormalizedChi2(terms, values);
     // While it is open which loops are wrong, odometry would take them on itself.
     const bool apart = is_robust && (!is_suspicious_ || ++steps_suspicious_ > kStepsTogether);
@@ -484,9 +368,9 @@ class Estimator {
     return true;
   }
 
-  ByGroup<Group> Collect(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<Pose>& values,
-                         const std::vector<std::vector<BlockSquares>>& draws) const {
-    ByGroup<Group> groups;
+  ByGroup<ResidualGroup> Collect(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<Pose>& values,
+                                 const std::vector<std::vector<BlockSquares>>& draws) const {
+    ByGroup<ResidualGroup> groups;
     for (int g = 0; g < kGroups; ++g) groups[At(g)].scalars = g % 2 == 0 ? Pose::kDim : Pose::kDof - Pose::kDim;
     for (size_t k = 0; k < terms.size(); ++k) {
       const ProbeTerm<Pose>& t = terms[k];
@@ -512,7 +396,7 @@ class Estimator {
     out_.normalized_chi2 = chi2 / static_cast<double>(Pose::kDof * (out_.edges - (out_.poses - 1)));
   }
 
-  void Update(const Group& group, bool is_robust, int g) {
+  void Update(const ResidualGroup& group, bool is_robust, int g) {
     Found& found = found_[At(g)];
     const auto [factor, error] = group.VarianceFactor(is_robust);
     found.estimate.redundancy = group.Redundancy();
@@ -544,12 +428,12 @@ class Estimator {
   }
 
   // Loops whose squares stand out of those of the other loops. A floor counts as if the others were at least so large.
-  void Reweight(const ByGroup<Group>& groups) {
-    const Group &translation = groups[2], &rotation = groups[3];
-    const auto bulk = [&](const Group& group, int g) {
+  void Reweight(const ByGroup<ResidualGroup>& groups) {
+    const ResidualGroup &translation = groups[2], &rotation = groups[3];
+    const auto bulk = [&](const ResidualGroup& group, int g) {
       std::vector<double> drawn;
       for (const auto& draws : group.drawn) drawn.insert(drawn.end(), draws.begin(), draws.end());
-      const double typical = Median(group.squares) / Median(std::move(drawn));
+      const double typical = internal::Median(group.squares) / internal::Median(std::move(drawn));
       return found_[At(g)].estimate.at_floor ? std::max(typical, std::exp(2 * found_[At(g)].step)) : typical;
     };
     const double t = bulk(translation, 2), r = bulk(rotation, 3);
@@ -575,7 +459,7 @@ class Estimator {
 
   const EstimateOptions options_;
   const StatedInformation stated_;
-  Sample<Pose> sample_;
+  InformationSample<Pose> sample_;
   std::vector<Pose> start_;
   ByGroup<double> floor_{}, log_scale_{};
   ByGroup<Found> found_{};
@@ -596,13 +480,6 @@ InformationEstimate EstimateInformationScale(const PoseGraph<Pose>& graph, const
 }
 
 template InformationEstimate EstimateInformationScale<SE2>(const PoseGraph<SE2>&, const EstimateOptions&);
-template <class Pose>
-double internal::ShareOfAgreeingLoops(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
-  return terse::ShareOfAgreeingLoops(TakeSample(graph, options));
-}
-template double internal::ShareOfAgreeingLoops<SE2>(const PoseGraph<SE2>&, const EstimateOptions&);
-template double internal::ShareOfAgreeingLoops<SE3>(const PoseGraph<SE3>&, const EstimateOptions&);
-
 template InformationEstimate EstimateInformationScale<SE3>(const PoseGraph<SE3>&, const EstimateOptions&);
 
 }  // namespace terse
