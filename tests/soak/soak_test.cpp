@@ -6,6 +6,7 @@
 
 #include <fcntl.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <condition_variable>
@@ -232,20 +233,20 @@ TEST_F(Soak, MemoryAndDescriptorsStayFlat) {
     if (ahead > 0) std::this_thread::sleep_for(std::chrono::duration<double>(ahead));
   }
   ASSERT_GE(samples.size(), 8u) << "too slow to tell";
-  const auto slope = [&](std::size_t a, std::size_t b) {
-    return (samples[b].megabytes - samples[a].megabytes) * 1e6 /
-           static_cast<double>(samples[b].poses - samples[a].poses);
+  // What is held: a look at what was measured so far makes another map beside the one in use, and is over after fewer
+  // poses than a quarter of them. From the second quarter on, by then buffers have found their size.
+  const std::size_t quarter = samples.size() / 4;
+  const auto least = [&](std::size_t begin, std::size_t end) {
+    const auto at = [&](std::size_t k) { return samples.begin() + static_cast<std::ptrdiff_t>(k); };
+    return *std::min_element(at(begin), at(end), [](auto& a, auto& b) { return a.megabytes < b.megabytes; });
   };
-  // After the first quarter, in which buffers find their size.
-  const std::size_t first = samples.size() / 4, middle = samples.size() / 2, last = samples.size() - 1;
-  const double per_pose = slope(first, last);
-  std::cout << samples[last].poses << " poses, " << samples[last].kept << " kept; " << samples[first].megabytes
-            << " MB at " << samples[first].poses << ", " << samples[middle].megabytes << " at " << samples[middle].poses
-            << ", " << samples[last].megabytes << " at " << samples[last].poses << ": " << per_pose
-            << " bytes a pose\n";
+  const Sample early = least(quarter, 2 * quarter), late = least(samples.size() - quarter, samples.size());
+  const double per_pose = (late.megabytes - early.megabytes) * 1e6 / static_cast<double>(late.poses - early.poses);
+  std::cout << samples.back().poses << " poses, " << samples.back().kept << " kept; " << early.megabytes << " MB at "
+            << early.poses << ", " << late.megabytes << " at " << late.poses << ": " << per_pose << " bytes a pose\n";
 
   // Only what keeps nothing.
-  const double before = samples.back().megabytes;
+  const double before = late.megabytes;
   const long errors = online.Errors();
   long lines = 0;
   while (elapsed() < seconds) {
