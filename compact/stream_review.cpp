@@ -20,30 +20,55 @@ constexpr long kFirstLoops = 8;
 constexpr long kLeastPosesOfLook = 20, kShareOfLook = 8;
 // Of the samples that EstimateOptions asks for: where loops are few, or many, the beginning ends all the same.
 constexpr long kMostPosesOf = 5, kMostLoopsOf = 10;
-// Scales that differ by less are not worth another map; logarithm.
+// Scales and thresholds that differ by less are not worth another map; logarithm.
 constexpr double kSameScale = 0.15;
 
+bool AreNear(double a, double b) { return a == b || std::abs(std::log(a / b)) < kSameScale; }
+
 bool AreSame(const KindScale& a, const KindScale& b) {
-  return std::abs(std::log(a.translation / b.translation)) < kSameScale &&
-         std::abs(std::log(a.rotation / b.rotation)) < kSameScale;
+  return AreNear(a.translation, b.translation) && AreNear(a.rotation, b.rotation);
 }
 bool AreSame(const InformationScale& a, const InformationScale& b) {
   return AreSame(a.odometry, b.odometry) && AreSame(a.loops, b.loops);
 }
 
-// Edges alone, poses in the order in which these name them. Factors are numbered from 0.
 template <class Pose>
-struct EdgeGraph {
-  explicit EdgeGraph(const std::vector<StreamEvent<Pose>>& events) {
-    std::unordered_set<std::int64_t> known;
-    for (std::size_t k = 0; k < events.size(); ++k) {
-      const auto* edge = events[k].factor ? std::get_if<RelativePoseFactor<Pose>>(&*events[k].factor) : nullptr;
-      if (edge == nullptr) continue;
-      const std::size_t had = known.size();
-      for (const PoseId id : {edge->from, edge->to}) {
-        if (known.insert(id.value).second) graph.AddPose(id);
+bool AreSame(const Thresholds<Pose>& a, const Thresholds<Pose>& b) {
+  for (Eigen::Index k = 0; k < a.range.size(); ++k) {
+    if (!AreNear(a.range[k], b.range[k])) return false;
+  }
+  for (Eigen::Index k = 0; k < Pose::kDof; ++k) {
+    if (!AreNear(std::sqrt(a.link_covariance(k, k)), std::sqrt(b.link_covariance(k, k)))) return false;
+  }
+  return AreNear(a.min_loop_gain, b.min_loop_gain) && AreNear(a.min_pose_gain, b.min_pose_gain);
+}
+
+// Edges and priors, poses in the order in which these name them. Factors are numbered from 0.
+template <class Pose>
+struct MeasuredGraph {
+  explicit MeasuredGraph(const std::vector<StreamEvent<Pose>>& events) {
+    std::unordered_map<std::int64_t, Pose> values;
+    std::unordered_set<std::int64_t> fixed, known;
+    for (const auto& event : events) {
+      if (event.T_world_body) {
+        values[event.ids.front().value] = *event.T_world_body;
+      } else {
+        for (const PoseId id : event.ids) fixed.insert(id.value);
       }
-      graph.AddFactor(*edge);
+    }
+    for (std::size_t k = 0; k < events.size(); ++k) {
+      if (!events[k].factor) continue;
+      const FactorPoses ends = PosesOf(*events[k].factor);
+      const std::size_t had = known.size();
+      for (const PoseId id : {ends.first, ends.second}) {
+        if ((ends.count < 2 && id != ends.first) || !known.insert(id.value).second) continue;
+        graph.AddPose(id);
+        const auto value = values.find(id.value);
+        if (value == values.end() || (known.size() > 1 && fixed.count(id.value) == 0)) continue;  // of no effect
+        graph.SetPose(id, value->second);
+        graph.SetFixed(id, fixed.count(id.value) != 0);
+      }
+      graph.AddFactor(*events[k].factor);
       event_of.push_back(k);
       opens.push_back(known.size() > had);
     }
@@ -55,22 +80,40 @@ struct EdgeGraph {
 
 // By pose index, of poses that are not in the trajectory yet by their odometry. Empty if others are not in it either.
 template <class Pose>
-std::vector<Pose> ValuesFor(const EdgeGraph<Pose>& edges, const std::vector<RecoveredPose<Pose>>& trajectory) {
+std::vector<Pose> ValuesFor(const MeasuredGraph<Pose>& measured, const std::vector<RecoveredPose<Pose>>& trajectory) {
   std::unordered_map<std::int64_t, Pose> values;
   for (const auto& pose : trajectory) values[pose.id.value] = pose.T_world_body;
-  for (std::size_t k = 0; k < edges.opens.size(); ++k) {
-    const auto& edge = std::get<RelativePoseFactor<Pose>>(edges.graph.Factors()[k].factor);
-    const auto from = values.find(edge.from.value), to = values.find(edge.to.value);
-    if (!edges.opens[k] || (from != values.end() && to != values.end())) continue;
+  for (std::size_t k = 0; k < measured.opens.size(); ++k) {
+    const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&measured.graph.Factors()[k].factor);
+    if (!measured.opens[k] || edge == nullptr) continue;
+    const auto from = values.find(edge->from.value), to = values.find(edge->to.value);
+    if (from != values.end() && to != values.end()) continue;
     if (from == values.end() && to == values.end()) return {};
     if (from != values.end()) {
-      values[edge.to.value] = Pose(from->second * edge.T_from_to);
+      values[edge->to.value] = Pose(from->second * edge->T_from_to);
     } else {
-      values[edge.from.value] = Pose(to->second * edge.T_from_to.Inverse());
+      values[edge->from.value] = Pose(to->second * edge->T_from_to.Inverse());
     }
   }
   std::vector<Pose> out;
-  for (const auto& node : edges.graph.Poses()) out.push_back(values.at(node.id.value));
+  for (const auto& node : measured.graph.Poses()) out.push_back(values.at(node.id.value));
+  return out;
+}
+
+// Those that are to be chosen, by what is not left out.
+template <class Pose>
+Thresholds<Pose> ChooseThresholds(const std::vector<StreamEvent<Pose>>& events, const InformationScale& scale,
+                                  CompactOptions<Pose> settings, const ThresholdChoice& chosen) {
+  if (!chosen.Any()) return settings.thresholds;
+  std::vector<StreamEvent<Pose>> believed;
+  std::copy_if(events.begin(), events.end(), std::back_inserter(believed), [](auto& e) { return !e.is_left_out; });
+  Thresholds<Pose> out = settings.thresholds;
+  SampleThresholds(ScaleInformation(MeasuredGraph<Pose>(believed).graph, scale), settings);
+  const Thresholds<Pose>& found = settings.thresholds;
+  if (chosen.range) out.range = found.range;
+  if (chosen.min_loop_gain) out.min_loop_gain = found.min_loop_gain;
+  if (chosen.min_pose_gain) out.min_pose_gain = found.min_pose_gain;
+  if (chosen.link_covariance) out.link_covariance = found.link_covariance;
   return out;
 }
 
@@ -214,39 +257,56 @@ bool StreamReview<Pose>::IsEnough() const {
 
 template <class Pose>
 auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
-  const EdgeGraph<Pose> edges(beginning.events);
-  Looked out{{}, beginning.scale, std::move(beginning.events), std::nullopt};
+  const MeasuredGraph<Pose> measured(beginning.events);
+  Looked out{{}, beginning.scale, beginning.settings.thresholds, std::move(beginning.events), std::nullopt};
+  CompactOptions<Pose>& settings = beginning.settings;
+  const auto choose = [&] {
+    const Thresholds<Pose> found =
+        ChooseThresholds(out.events, out.scale, ForScale(settings, out.scale), beginning.options.chosen);
+    if (AreSame(found, out.thresholds)) return false;
+    out.thresholds = settings.thresholds = found;
+    return true;
+  };
   const auto make_again = [&] {
-    out.remade.emplace(beginning.settings, out.scale);
+    out.remade.emplace(settings, out.scale);
     out.remade->TakeUpTo(out.events);
   };
+  bool is_other = false;
   if (beginning.options.information) {
-    out.information = CalibrateInformation(edges.graph, beginning.options.estimate);
+    out.information = CalibrateInformation(measured.graph, beginning.options.estimate);
     // What cannot be told leaves the scale that was found from less.
     const bool is_told = out.information.verdict != InformationVerdict::kUndetermined;
-    if (is_told && !AreSame(out.information.scale, beginning.scale)) {
-      out.scale = out.information.scale;
-      make_again();
-      const auto loops = std::count(edges.opens.begin(), edges.opens.end(), 0);
-      beginning.is_in_doubt = beginning.is_in_doubt || AreLoopsInDoubt(out.remade->refused, loops);
-      beginning.trajectory = out.remade->slam->Trajectory();
-    }
+    is_other = is_told && !AreSame(out.information.scale, beginning.scale);
+    if (is_other) out.scale = out.information.scale;
+  }
+  if (choose() || is_other) {
+    make_again();
+    const auto is_loop = [&](std::size_t k) {
+      return measured.opens[k] == 0 && IsEdge(out.events[measured.event_of[k]]);
+    };
+    long loops = 0;
+    for (std::size_t k = 0; k < measured.opens.size(); ++k) loops += is_loop(k);
+    beginning.is_in_doubt = beginning.is_in_doubt || AreLoopsInDoubt(out.remade->refused, loops);
+    beginning.trajectory = out.remade->slam->Trajectory();
   }
   BatchOptions judged;
-  judged.robust = ForScale(beginning.settings, out.scale).solver.robust;
+  judged.robust = ForScale(settings, out.scale).solver.robust;
   if (!beginning.is_in_doubt || judged.robust.kernel != RobustKernel::kGnc) return out;
   std::vector<char> is_wrong(out.events.size());
-  for (const FactorId id :
-       ContradictedLoops(ScaleInformation(edges.graph, out.scale), ValuesFor(edges, beginning.trajectory), judged)) {
+  for (const FactorId id : ContradictedLoops(ScaleInformation(measured.graph, out.scale),
+                                             ValuesFor(measured, beginning.trajectory), judged)) {
     const auto k = static_cast<std::size_t>(id.value);
-    is_wrong[edges.event_of[k]] = edges.opens[k] == 0;
+    is_wrong[measured.event_of[k]] = measured.opens[k] == 0;
   }
-  bool is_other = false;
+  is_other = false;
   for (std::size_t k = 0; k < is_wrong.size(); ++k) {
     is_other = is_other || out.events[k].is_left_out != (is_wrong[k] != 0);
     out.events[k].is_left_out = is_wrong[k] != 0;
   }
-  if (is_other) make_again();
+  if (is_other) {
+    choose();
+    make_again();
+  }
   return out;
 }
 
@@ -272,6 +332,7 @@ auto StreamReview<Pose>::End() -> std::optional<Found> {
     looked.remade->TakeUpTo(events);
     events_ = std::move(events);
     scale_ = looked.scale;
+    settings_.thresholds = looked.thresholds;
     refused_ = looked.remade->refused;
     const auto left_out = std::count_if(events_.begin(), events_.end(), [](const auto& e) { return e.is_left_out; });
     return Found{{std::move(looked.information), scale_, static_cast<int>(left_out), {}}, std::move(*looked.remade)};
@@ -291,7 +352,7 @@ auto StreamReview<Pose>::Look(const CompactPoseSlam<Pose>& slam, bool is_last) -
   if (!records_ || over_at_ > 0) return found;
   const bool is_enough = IsEnough();
   const long least = is_last || is_enough ? looked_at_ + 1 : std::max(kFirstLoops, 2 * looked_at_);
-  if (Loops() >= least) {
+  if (Loops() >= least || ((is_last || is_enough) && HasNoThresholds())) {
     looked_at_ = Loops();
     is_last_look_ = is_enough;
     Begin(events_.size(), found ? *found->remade.slam : slam);
@@ -308,7 +369,9 @@ template <class Pose>
 template <class Archive>
 void StreamReview<Pose>::Serialize(Archive& archive) {
   auto& [sample_poses, sample_loops, draws, max_iterations, tolerance, seed] = options_.estimate;
-  archive(options_.information, sample_poses, sample_loops, draws, max_iterations, tolerance, seed);
+  auto& [range, min_loop_gain, min_pose_gain, link_covariance] = options_.chosen;
+  archive(options_.information, range, min_loop_gain, min_pose_gain, link_covariance, sample_poses, sample_loops, draws,
+          max_iterations, tolerance, seed);
   archive(scale_.odometry.translation, scale_.odometry.rotation, scale_.loops.translation, scale_.loops.rotation);
   archive(records_, newest_, before_, poses_, edges_, refused_, looked_at_, is_last_look_, events_of_look_, over_at_);
   archive.Each(events_, [&](StreamEvent<Pose>& event) {

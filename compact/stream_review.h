@@ -2,10 +2,11 @@
 // The beginning of a stream as it was measured, and what it looks like from later on.
 //
 // When twice as many loops are there as at the last look, all that was measured so far is looked at again: what its
-// residuals say of the information (CalibrateInformation), and, where the map refuses many loops, which of them are
-// wrong (ContradictedLoops). If that is something else than what the map was made with, the same measurements go
-// through a new one. All this in a thread of its own, while the stream goes on with the map that it has. It takes the
-// other one over a fixed number of poses later, whether it had to wait for it or not, so that a run can be repeated.
+// residuals say of the information (CalibrateInformation), which thresholds fit it (SelectThresholds), and, where the
+// map refuses many loops, which of them are wrong (ContradictedLoops). If that is something else than what the map was
+// made with, the same measurements go through a new one. All this in a thread of its own, while the stream goes on with
+// the map that it has. It takes the other one over a fixed number of poses later, whether it had to wait for it or not,
+// so that a run can be repeated.
 
 #include <algorithm>
 #include <future>
@@ -82,20 +83,23 @@ class StreamReview {
  private:
   // The beginning that a look is about.
   struct Beginning {
-    CompactOptions<Pose> settings;
+    CompactOptions<Pose> settings;  // in use, as scale
     ReviewOptions options;
-    InformationScale scale;  // in use
+    InformationScale scale;
     std::vector<StreamEvent<Pose>> events;
     bool is_in_doubt = false;                     // its loops, by the map as it is
     std::vector<RecoveredPose<Pose>> trajectory;  // of that map
   };
   struct Looked {
     InformationCalibration information;
-    InformationScale scale;                 // to use from now on
+    InformationScale scale;  // to use from now on, as thresholds
+    Thresholds<Pose> thresholds;
     std::vector<StreamEvent<Pose>> events;  // with what is left out
     std::optional<RemadeMap<Pose>> remade;  // if that is another one
   };
   static Looked LookAt(Beginning beginning);
+  // Whether it is the first chance to choose thresholds, and the last.
+  bool HasNoThresholds() const { return options_.chosen.Any() && looked_at_ == 0; }
   long Loops() const { return edges_ - std::max(0L, poses_ - 1); }
   bool IsInDoubt() const;
   bool IsEnough() const;

@@ -19,7 +19,7 @@ using nlohmann::json;
 using terse::testing::CsvRows;
 using terse::testing::Outcome;
 
-const std::string kOptions = "online --range 10 10 1.5 --min-loop-gain 0.5 --min-pose-gain 2 ";
+const std::string kOptions = "online --range 10 10 1.5 --min-loop-gain 0.5 --min-pose-gain 2 --link-deviation 0.1 0.1 ";
 
 // The command with pipes to its standard input and output.
 class Child {
@@ -262,7 +262,7 @@ TEST_F(OnlineCommand, TakesTheDimensionFromTheFirstMeasurement) {
   EXPECT_EQ(answers[1]["verdict"], "all_kept");
   Write("empty", "");
   EXPECT_EQ(Succeed("online --strategy apal < empty").out, "");
-  ExpectFailure("online < input", 2, "--range");
+  ExpectFailure("online --review off < input", 2, "--range");
   ExpectFailure("online --range 1 1 1 --dimension 3 < input", 2, "X Y Z ANGLE");
   ExpectFailure("online --range 1 1 1 --innovation-quantile nan < input", 2, "--innovation-quantile");
   ExpectFailure("online --range 1 1 1 --innovation-quantile 1 < input", 2, "--innovation-quantile");
@@ -273,9 +273,10 @@ TEST_F(OnlineCommand, TakesTheDimensionFromTheFirstMeasurement) {
 }
 
 TEST_F(OnlineCommand, ReadsThresholds) {
+  const double v = 0.1 * 0.1;
   json thresholds = {{"dimension", 2},     {"range", {10, 10, 1.5}},
                      {"probability", 0.1}, {"min_loop_gain", 0.5},
-                     {"min_pose_gain", 2}, {"link_covariance", {{0.01, 0, 0}, {0, 0.01, 0}, {0, 0, 0.01}}}};
+                     {"min_pose_gain", 2}, {"link_covariance", {{v, 0, 0}, {0, v, 0}, {0, 0, v}}}};
   Write("good.json", thresholds.dump());
   const auto lines = Measurements(40);
   const std::string input = Join(lines, 0, lines.size());
@@ -456,6 +457,26 @@ TEST_F(OnlineCommand, LooksBackAtWhatWasMeasured) {
     EXPECT_FALSE(answer.contains("made_again"));
   }
   ExpectFailure(online + "--journal journal --review off < all", 1, "review is \"all\" there, null now");
+
+  // With no option: thresholds are chosen by what was measured. A journal without them goes on without.
+  Succeed("online --journal free --quiet < half");
+  Succeed("online --journal free --output free_resumed --quiet < rest");
+  const auto free = ParseLines(Succeed("online --output free_whole < all").out);
+  EXPECT_EQ(Read("free_resumed/compact.g2o"), Read("free_whole/compact.g2o"));
+  const auto last =
+      std::find_if(free.rbegin(), free.rend(), [](auto& answer) { return answer.contains("made_again"); });
+  ASSERT_NE(last, free.rend());
+  EXPECT_GT(last->at("thresholds").at("range")[0].get<double>(), 1.5);
+  ExpectFailure("online --journal free --range 6 6 3.2 < rest", 1, "range is [1.0,1.0,1.0] there, [6.0,6.0,3.2] now");
+  ExpectFailure("online --review off < all", 2, "--range is required where no review chooses the range");
+  const std::string gains = "--min-pose-gain 3 --min-loop-gain 1 ", link = "--link-deviation 0.5 0.5 ";
+  Succeed(online + gains + link + "--journal given --quiet < half");
+  const auto given = ParseLines(Succeed(online + link + "--journal given < rest").out);
+  for (const json& answer : given) {
+    if (answer.contains("made_again")) {
+      EXPECT_EQ(answer.at("thresholds").at("min_pose_gain"), 3.0);
+    }
+  }
 }
 
 // As compact has it, where results are written; the journal knows nothing of it, so that a run goes on as if it had not

@@ -1,5 +1,5 @@
-// Information that a stream states and its residuals contradict: scaled on the way, as if it had been right from the
-// beginning.
+// Information that a stream states and its residuals contradict, and thresholds that nobody gave: found on the way, as
+// if they had been known from the beginning.
 
 #include <gtest/gtest.h>
 
@@ -7,6 +7,7 @@
 #include <variant>
 
 #include "slow_build.h"
+#include "terse/compact/compact_graph.h"
 #include "terse/compact/measurement_stream.h"
 #include "terse/core/arrival.h"
 #include "terse/core/error.h"
@@ -117,11 +118,17 @@ struct Streamed {
 };
 
 template <class Pose>
-Streamed<Pose> Calibrated(const PoseGraph<Pose>& graph) {
+Streamed<Pose> Calibrated(const PoseGraph<Pose>& graph, const ReviewOptions& options = {}) {
   Streamed<Pose> run(Settings<Pose>());
-  run.stream.StartReviews();
+  run.stream.StartReviews(options);
   run.AddAll(graph);
   return run;
+}
+
+ReviewOptions AllChosen() {
+  ReviewOptions options;
+  options.chosen = {true, true, true, true};
+  return options;
 }
 
 template <class Pose>
@@ -144,8 +151,10 @@ double ErrorOf(const CompactPoseSlam<SE2>& slam, const std::vector<SE2>& truth) 
 
 // The oracle: the first of these measurements, scaled from the beginning.
 template <class Pose>
-Streamed<Pose> WithScale(const std::vector<RelativePoseFactor<Pose>>& factors, const InformationScale& scale) {
+Streamed<Pose> WithScale(const std::vector<RelativePoseFactor<Pose>>& factors, const InformationScale& scale,
+                         const Thresholds<Pose>& thresholds = Settings<Pose>().thresholds) {
   CompactOptions<Pose> settings = Settings<Pose>();
+  settings.thresholds = thresholds;
   if (!scale.IsOne()) settings.innovation_quantile = settings.solver.robust.quantile = kInnovationQuantileOfScaled;
   Streamed<Pose> run(settings);
   run.stream = MeasurementStream<Pose>(run.slam, scale);
@@ -232,24 +241,105 @@ TEST(StreamReview, InventedInformationDoesNotLoseTheMap) {
   }
 }
 
-// A look on the way included.
-TEST(StreamReview, GoesOnFromAFile) {
+double LargestChange(const Thresholds<SE2>& a, const Thresholds<SE2>& b) {
+  const auto change = [](double x, double y) { return std::abs(std::log(x / y)); };
+  return std::max({change(a.range[0], b.range[0]), change(a.range[2], b.range[2]),
+                   change(a.min_loop_gain, b.min_loop_gain), change(a.min_pose_gain, b.min_pose_gain),
+                   change(a.link_covariance(0, 0), b.link_covariance(0, 0)) / 2});
+}
+
+// Those of the sample that a file would give, and the map that they give: with right information, with the unit matrix.
+TEST(StreamReview, ThresholdsThatNobodyGaveAreChosen) {
+  const PoseGraph<SE2> world = MakeWorld<SE2>(101).graph;
+  for (const PoseGraph<SE2>& graph : {world, WithIdentity(world)}) {
+    const Streamed<SE2> run = Calibrated(graph, AllChosen());
+    EXPECT_GE(run.made_again, 1);
+    CompactOptions<SE2> of_file = Settings<SE2>();
+    of_file.innovation_quantile = run.slam.Options().innovation_quantile;
+    SampleThresholds(ScaleInformation(graph, run.stream.Scale()), of_file);
+    EXPECT_GT(LargestChange(Settings<SE2>().thresholds, of_file.thresholds), 0.3);
+    EXPECT_LT(LargestChange(run.slam.Options().thresholds, of_file.thresholds), 0.2);
+    Streamed<SE2> other = WithScale(InOrderOfArrival(graph), run.stream.Scale(), run.slam.Options().thresholds);
+    other.Finish();
+    EXPECT_TRUE(Picture(run.slam) == Picture(other.slam));
+  }
+}
+
+TEST(StreamReview, GivenThresholdsStay) {
+  const PoseGraph<SE2> graph = MakeWorld<SE2>(102).graph;
+  const Thresholds<SE2> given = Settings<SE2>().thresholds,
+                        all = Calibrated(graph, AllChosen()).slam.Options().thresholds;
+  ReviewOptions options;
+  options.chosen.min_pose_gain = true;
+  const Thresholds<SE2> found = Calibrated(graph, options).slam.Options().thresholds;
+  EXPECT_EQ(found.min_pose_gain, all.min_pose_gain);
+  EXPECT_NE(found.min_pose_gain, given.min_pose_gain);
+  EXPECT_EQ(found.min_loop_gain, given.min_loop_gain);
+  EXPECT_EQ(found.range, given.range);
+  EXPECT_EQ(found.link_covariance, given.link_covariance);
+}
+
+// The end is then the only look: without a loop, with fewer than a look waits for; and with positions, far from zero.
+TEST(StreamReview, ThresholdsOfFewLoops) {
+  const std::vector<RelativePoseFactor<SE2>> factors = InOrderOfArrival(MakeWorld<SE2>(103).graph);
+  for (const int most_loops : {0, 3}) {
+    for (const bool has_positions : {false, true}) {
+      Streamed<SE2> run(Settings<SE2>());
+      run.stream.StartReviews(AllChosen());
+      PoseGraph<SE2> graph;
+      const auto add = [&](const Factor<SE2>& factor) {
+        run.Add(factor);
+        graph.AddFactor(factor);
+      };
+      int loops = 0;
+      for (size_t k = 0; k < factors.size(); ++k) {
+        const bool opens = !graph.HasPose(factors[k].to);
+        if (!opens && loops == most_loops) continue;
+        loops += !opens;
+        for (const PoseId id : {factors[k].from, factors[k].to}) {
+          if (!graph.HasPose(id)) graph.AddPose(id);
+        }
+        add(factors[k]);
+        const double along = static_cast<double>(k);
+        if (has_positions && opens && k % 10 == 0) {
+          add(PositionPriorFactor<SE2>{factors[k].to, {5e5 + along, 5e6}, 1e-2 * Matrix<2, 2>::Identity()});
+        }
+      }
+      run.Finish();
+      EXPECT_EQ(run.made_again, 1);
+      CompactOptions<SE2> of_file = Settings<SE2>();
+      of_file.innovation_quantile = run.slam.Options().innovation_quantile;
+      SampleThresholds(ScaleInformation(graph, run.stream.Scale()), of_file);
+      EXPECT_EQ(LargestChange(run.slam.Options().thresholds, of_file.thresholds), 0);
+    }
+  }
+}
+
+template <class Pose>
+void ExpectGoesOnFromAFile(const ReviewOptions& options) {
   const TestFile file("stream.state");
-  const PoseGraph<SE2> graph = WithIdentity(MakeWorld<SE2>(95).graph);
-  const std::string whole = Picture(Calibrated(graph).slam);
+  const PoseGraph<Pose> graph = WithIdentity(MakeWorld<Pose>(95).graph);
+  const std::string whole = Picture(Calibrated(graph, options).slam);
   const auto factors = InOrderOfArrival(graph);
   for (const size_t saved_at : {factors.size() / 20, factors.size() / 5, factors.size() / 3}) {
-    Streamed<SE2> begun(Settings<SE2>());
-    begun.stream.StartReviews();
+    Streamed<Pose> begun(Settings<Pose>());
+    begun.stream.StartReviews(options);
     for (size_t k = 0; k < saved_at; ++k) begun.Add(factors[k]);
     begun.stream.Save(file.Path());
-    Streamed<SE2> run(Settings<SE2>());
-    run.stream = MeasurementStream<SE2>::Load(file.Path(), run.slam);
+    Streamed<Pose> run(Settings<Pose>());
+    run.stream = MeasurementStream<Pose>::Load(file.Path(), run.slam);
     run.decisions = begun.decisions;
     for (size_t k = saved_at; k < factors.size(); ++k) run.Add(factors[k]);
     run.Finish();
     EXPECT_TRUE(Picture(run.slam) == whole) << saved_at;
   }
+}
+
+// A look on the way included.
+TEST(StreamReview, GoesOnFromAFile) {
+  ExpectGoesOnFromAFile<SE2>({});
+  ExpectGoesOnFromAFile<SE2>(AllChosen());
+  if (!kSlowBuild) ExpectGoesOnFromAFile<SE3>(AllChosen());
 }
 
 // Poses that were given up are in no map that is made later.

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <optional>
 
@@ -36,7 +37,7 @@ struct OnlineCommandOptions {
 
 // Of dropped poses, unless a trajectory is to be written.
 constexpr int kRemembered = 1000;
-constexpr const char *kMostDropped = "most_dropped", *kReview = "review";
+constexpr const char *kMostDropped = "most_dropped", *kReview = "review", *kChosen = "chosen";
 constexpr const char *kReviewAll = "all", *kReviewLoops = "loops", *kReviewOff = "off";
 
 template <class Pose>
@@ -75,6 +76,30 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
   return options;
 }
 
+// In the words of thresholds.json.
+ordered_json ChosenNames(const ThresholdChoice& chosen) {
+  ordered_json names = ordered_json::array();
+  if (chosen.range) names.push_back("range");
+  if (chosen.min_loop_gain) names.push_back("min_loop_gain");
+  if (chosen.min_pose_gain) names.push_back("min_pose_gain");
+  if (chosen.link_covariance) names.push_back("link_covariance");
+  return names;
+}
+
+// Those that nobody gave; with a journal, as it has it.
+ThresholdChoice Chosen(const OnlineCommandOptions& options, const ordered_json* begun) {
+  const auto is_chosen = [&](const char* name, bool is_given) {
+    if (begun == nullptr) return !is_given;
+    const ordered_json names = begun->value(kChosen, ordered_json::array());
+    return std::find(names.begin(), names.end(), name) != names.end();
+  };
+  const bool none = !options.thresholds.empty() || options.strategy == Strategy::kApal;
+  return {is_chosen("range", none || !options.range.empty()),
+          is_chosen("min_loop_gain", none || options.min_loop_gain.has_value()),
+          is_chosen("min_pose_gain", none || options.min_pose_gain.has_value()),
+          is_chosen("link_covariance", none || !options.link_deviation.empty())};
+}
+
 // What a journal's lines mean depends on these.
 template <class Pose>
 ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCommandOptions& options) {
@@ -90,7 +115,11 @@ ordered_json JournalHeader(const CompactOptions<Pose>& settings, const OnlineCom
   if (settings.most_dropped) json[kMostDropped] = *settings.most_dropped;
   if (options.run.agreeing_links != OnlineRunOptions().agreeing_links)
     json["agreeing_links"] = options.run.agreeing_links;
-  if (options.run.review) json[kReview] = options.run.review->information ? kReviewAll : kReviewLoops;
+  if (options.run.review) {
+    json[kReview] = options.run.review->information ? kReviewAll : kReviewLoops;
+    const ordered_json chosen = ChosenNames(options.run.review->chosen);
+    if (!chosen.empty()) json[kChosen] = chosen;
+  }
   json["innovation_quantile"] = nullptr;
   if (options.innovation_quantile) json["innovation_quantile"] = *options.innovation_quantile;
   json["robust"] = WordOf(settings.solver.robust.kernel);
@@ -123,18 +152,18 @@ std::optional<Strategy> BegunWith(const OnlineCommandOptions& options, const Jou
 
 // The same of reviews, which journals did not know once.
 std::optional<ReviewOptions> Reviews(const OnlineCommandOptions& options, const Journal* journal) {
+  std::optional<ordered_json> begun;
+  if (journal != nullptr && !journal->IsNew()) begun = ParseHeader(*journal);
   std::string word = options.review;
   if (word.empty()) {
-    const bool is_begun = journal != nullptr && !journal->IsNew();
-    word = is_begun ? std::string(kReviewOff) : kReviewAll;
-    if (is_begun && ParseHeader(*journal).contains(kReview)) {
-      const ordered_json begun = ParseHeader(*journal)[kReview];
-      word = begun == kReviewLoops ? kReviewLoops : kReviewAll;  // another word is left to the comparison of headers
-    }
+    word = begun ? kReviewOff : kReviewAll;
+    // Another word is left to the comparison of headers.
+    if (begun && begun->contains(kReview)) word = (*begun)[kReview] == kReviewLoops ? kReviewLoops : kReviewAll;
   }
   if (word == kReviewOff) return std::nullopt;
   ReviewOptions review;
   review.information = word == kReviewAll;
+  review.chosen = Chosen(options, begun ? &*begun : nullptr);
   return review;
 }
 
@@ -155,9 +184,6 @@ int KnownDimension(const OnlineCommandOptions& options, const Journal* journal) 
 }
 
 void Online(OnlineCommandOptions options) {
-  if (options.strategy != Strategy::kApal && options.thresholds.empty() && options.range.empty()) {
-    throw CLI::ValidationError("--thresholds", "this or --range is required");
-  }
   std::vector<NamedPath> outputs{{"--journal", options.journal}};
   if (!options.run.directory.empty()) {
     for (NamedPath& file :
@@ -173,6 +199,11 @@ void Online(OnlineCommandOptions options) {
   options.remember = Remembered(options, used);
   options.strategy = BegunWith(options, used);
   options.run.review = Reviews(options, used);
+  const bool knows_range = !options.thresholds.empty() || !options.range.empty();
+  if (!knows_range && options.strategy != Strategy::kApal &&
+      !(options.run.review && options.run.review->chosen.range)) {
+    throw CLI::ValidationError("--thresholds", "this or --range is required where no review chooses the range");
+  }
   LineSource source;
   int dimension = KnownDimension(options, used);
   if (dimension == 0) dimension = source.FindDimension();
@@ -183,9 +214,9 @@ void AddThresholdOptions(CLI::App& command, OnlineCommandOptions& options) {
   command
       .add_option("--thresholds", options.thresholds,
                   "Range, gains and link covariance as compact --auto-thresholds wrote them; the options below "
-                  "overrule it")
+                  "overrule it. Without it, what they do not give is chosen by what was measured, see --review")
       ->type_name("FILE");
-  command.add_option("--range", options.range, "Sensor range in metres and radians")
+  command.add_option("--range", options.range, "Sensor range in metres and radians [1 each until the first review]")
       ->expected(3, 4)
       ->check(PositiveNumber())
       ->option_text("X Y Z ANGLE (3D) | X Y ANGLE (2D)");
@@ -194,15 +225,17 @@ void AddThresholdOptions(CLI::App& command, OnlineCommandOptions& options) {
       ->type_name("S");
   command
       .add_option("--min-pose-gain", options.min_pose_gain,
-                  "A pose is kept above this gain (nats), or if a loop closes at it [3]")
+                  "A pose is kept above this gain (nats), or if a loop closes at it [3 until the first review]")
       ->check(NonNegativeNumber())
       ->type_name("G");
-  command.add_option("--min-loop-gain", options.min_loop_gain, "A link is kept above this gain (nats) [1]")
+  command
+      .add_option("--min-loop-gain", options.min_loop_gain,
+                  "A link is kept above this gain (nats) [1 until the first review]")
       ->check(NonNegativeNumber())
       ->type_name("G");
   command
       .add_option("--link-deviation", options.link_deviation,
-                  "Standard deviations expected of a loop, per direction [0.1 m, 0.1 rad]")
+                  "Standard deviations expected of a loop, per direction [0.1 m, 0.1 rad until the first review]")
       ->expected(2)
       ->check(PositiveNumber())
       ->option_text("METRES RADIANS");
@@ -231,8 +264,9 @@ void AddOnlineCommand(CLI::App& app) {
           "--review", options->review,
           "From eight loops on, each time that there are twice as many, all that was measured so far is looked "
           "at again, beside the run: information that nobody estimated or that is too certain is scaled to what "
-          "residuals say (not with loops), and loops that the others contradict are left out (with gnc). If that "
-          "changes the map it is made again, and an answer tells of it (made_again)")
+          "residuals say (not with loops), loops that the others contradict are left out (with gnc), and thresholds "
+          "that nobody gave are chosen. If that changes the map it is made again, and an answer tells of it "
+          "(made_again)")
       ->check(CLI::IsMember({kReviewAll, kReviewLoops, kReviewOff}).description(""))
       ->option_text("all|loops|off")
       ->default_str("all; as the journal has it");

@@ -114,6 +114,7 @@ ordered_json ToJson(const Review& review, const CompactPoseSlam<Pose>& slam) {
           {"information", Name(review.information.verdict)},
           {"message", review.information.message},
           {"sigma_scale", ToJson(review.scale)},
+          {"thresholds", ThresholdsToJson(slam.Options().thresholds)},
           {"loops_left_out", review.loops_left_out},
           {"poses_kept", std::move(kept)},
           {"links_kept", std::move(links)}};

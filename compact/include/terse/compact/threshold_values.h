@@ -20,4 +20,10 @@ struct Thresholds {
   typename Pose::Jacobian link_covariance = 0.01 * Pose::Jacobian::Identity();
 };
 
+// Those that are chosen by what was measured so far; others stay as they are given.
+struct ThresholdChoice {
+  bool range = false, min_loop_gain = false, min_pose_gain = false, link_covariance = false;
+  bool Any() const { return range || min_loop_gain || min_pose_gain || link_covariance; }
+};
+
 }  // namespace terse

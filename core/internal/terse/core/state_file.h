@@ -56,7 +56,7 @@
 namespace terse {
 
 inline constexpr char kStateMagic[9] = "TERSE\0\x1a\n";
-inline constexpr std::uint32_t kStateFormat = 10;
+inline constexpr std::uint32_t kStateFormat = 11;
 
 namespace internal {
 
