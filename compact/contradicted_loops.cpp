@@ -23,6 +23,9 @@ constexpr double kManyMore = 1.05;
 // With so few loops, one through a kernel so many times as wide is looked at too.
 constexpr std::size_t kFewLoops = 500;
 constexpr double kWider = 2;
+// Which loops contradict a trajectory does not take the last digits of it.
+constexpr double kTolerance = 1e-6;
+constexpr int kMostIterations = 50;
 // Of the variance: nobody's measurements are better than this share of what they say.
 constexpr double kLeastScale = 1e-6;
 
@@ -124,6 +127,8 @@ template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options) {
   // The map's width, where it is open, leaves room for what a map with few links does not know.
   options.robust.quantile = RobustOptions().quantile;
+  options.relative_tolerance = std::max(options.relative_tolerance, kTolerance);
+  options.max_iterations = std::min(options.max_iterations, kMostIterations);
   const std::vector<FactorId> unsupported = internal::UnsupportedLoops(graph);
   const BatchResult<Pose> solved = SolveBatch(WithoutFactors(graph, unsupported), options);
   const Judge<Pose> judge(graph, solved);

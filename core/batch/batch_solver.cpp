@@ -128,6 +128,7 @@ class Run {
 
   // At most so many steps.
   void Descend(int steps) {
+    setback_.reset();
     for (int k = 0; !done_; ++k) {
       if (k >= steps) {
         Finish(Termination::kMaxIterations, "stopped after " + std::to_string(result_.iterations) + " iterations");
@@ -263,7 +264,7 @@ class Run {
     const bool is_last = small && lambda == 0 && decrease >= -tolerance;
     if (std::isfinite(trial.cost) && (decrease >= 0 || is_last)) {
       Accept(std::move(trial));
-      damping_control_.Accept(predicted > 0 ? decrease / predicted : 1);
+      damping_control_.Accept(small ? 1 : decrease / predicted);  // of a small one rounding is left
       if (best_ && cost_ < best_->cost) {
         best_.reset();
         climbing_ = 0;
@@ -306,12 +307,21 @@ class Run {
     Accept(std::move(*best_));
     best_.reset();
     climbing_ = 0;
-    damping_control_.Reject();
+    if (!IsAtRest()) damping_control_.Reject();
+  }
+
+  // Full steps failed, and all that was gained since they failed before is less than what counts.
+  bool IsAtRest() {
+    const bool is_at_rest = setback_ && *setback_ - cost_ <= tolerance_ * cost_ + 1e-16;
+    if (is_at_rest) Finish(Termination::kStalled, "full steps raise chi2, and damped ones do not lower it");
+    setback_ = cost_;
+    return is_at_rest;
   }
 
   void Reject(const std::string& why) {
     if (best_) return Retreat();
     if (options_.method == Method::kGaussNewton) return Finish(Termination::kDiverged, why);
+    if (damping_control_.Lambda() == 0 && IsAtRest()) return;
     damping_control_.Reject();
     Log(options_.log, LogLevel::kDebug, "batch: iteration ", result_.iterations, ": rejected, ", why, ", damping ",
         damping_control_.Lambda());
@@ -330,7 +340,8 @@ class Run {
   Damping damping_control_;
   std::vector<double> damping_;
   double cost_ = 0, tolerance_;
-  std::optional<State> best_;  // where full steps began to climb
+  std::optional<State> best_;      // where full steps began to climb
+  std::optional<double> setback_;  // the cost at which full steps failed last, in this descent
   int climbing_ = 0;
   bool done_ = false, singular_ = false;
   // What there is for the current values: the linearisation in next_, or in the factor, or that factored undamped.

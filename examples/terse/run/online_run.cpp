@@ -150,12 +150,14 @@ class OnlineRun {
   std::optional<ordered_json> TakeReview(bool at_end) {
     std::optional<Review> found = stream_.TakeReview(at_end);
     if (!found) return std::nullopt;
-    if (!options_.quiet) {
-      std::cerr << "terse: note: " << kSource << ": the map is made again";
-      if (!found->scale.IsOne()) std::cerr << ", with standard deviations scaled: " << found->information.message;
-      if (found->loops_left_out > 0) std::cerr << ", without " << found->loops_left_out << " loops that are wrong";
-      std::cerr << " (--review off leaves it)\n";
+    std::string how;
+    if (!found->scale.IsOne()) how += ", with standard deviations scaled: " + found->information.message;
+    if (found->loops_left_out > 0)
+      how += ", without " + std::to_string(found->loops_left_out) + " loops that are wrong";
+    if (!how.empty() && how != how_made_ && !options_.quiet) {
+      std::cerr << "terse: note: " << kSource << ": the map is made again" << how << " (--review off leaves it)\n";
     }
+    how_made_ = std::move(how);
     if (!options_.directory.empty()) decisions_ = std::move(found->decisions);
     return ToJson(*found, slam_);
   }
@@ -416,6 +418,7 @@ class OnlineRun {
   long lines_ = 0, snapshots_ = 0;  // taken since the journal was begun, FLUSH aside; made
   long most_journal_bytes_ = options_.journal_bytes;
   std::vector<Decision> decisions_;  // for decisions.csv
+  std::string how_made_;             // the map, as the last note told
   std::optional<PoseId> last_;
 };
 
