@@ -22,6 +22,8 @@ constexpr double kMargin = 1.5, kLeastAngle = 1.0;
 // from pose to pose reaches over several.
 constexpr std::size_t kFewLinks = 100;
 constexpr double kStepsInRange = 5;
+// Nor does it tell nearer things apart, which is what is left of a robot that stands still.
+constexpr double kDeviationsInRange = 5;
 
 // The largest but one in a hundred: links that are absurd say nothing of the sensor.
 double MostButFew(std::vector<double> values) {
@@ -249,6 +251,8 @@ Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::RangeOf(const Links& links,
       ++steps;
     }
     if (steps > 0) reach = std::max(reach, kStepsInRange * path / steps);
+    const double variance = LinkCovariance().diagonal().template head<Pose::kDim>().maxCoeff();
+    if (steps > 0) reach = std::max(reach, kDeviationsInRange * std::sqrt(variance));
   }
   Vector<Displacement<Pose>::kSize> range;
   range.setConstant(std::max(reach, 1e-3));

@@ -11,11 +11,12 @@
 #include "terse/compact/contradicted_loops.h"
 #include "terse/compact/state_members.h"
 #include "terse/core/error.h"
+#include "terse/core/log_message.h"
 
 namespace terse::internal {
 namespace {
 
-constexpr long kFirstLoops = 8;
+constexpr long kFirstLoops = 8, kFirstPoses = 32;
 // A look is over after so many more poses, or a share of those that there are.
 constexpr long kLeastPosesOfLook = 20, kShareOfLook = 8;
 // Of the samples that EstimateOptions asks for: where loops are few, or many, the beginning ends all the same.
@@ -64,9 +65,10 @@ struct MeasuredGraph {
         if ((ends.count < 2 && id != ends.first) || !known.insert(id.value).second) continue;
         graph.AddPose(id);
         const auto value = values.find(id.value);
-        if (value == values.end() || (known.size() > 1 && fixed.count(id.value) == 0)) continue;  // of no effect
-        graph.SetPose(id, value->second);
-        graph.SetFixed(id, fixed.count(id.value) != 0);
+        const bool is_first = known.size() == 1, is_fixed = fixed.count(id.value) != 0;
+        if (!is_first && (!is_fixed || value == values.end())) continue;  // a value is of no effect
+        graph.SetPose(id, value == values.end() ? Pose() : value->second);
+        graph.SetFixed(id, is_fixed);
       }
       graph.AddFactor(*events[k].factor);
       event_of.push_back(k);
@@ -232,13 +234,17 @@ void StreamReview<Pose>::NoteDiscarded(PoseId open) {
   events_.erase(std::remove_if(events_.begin(), events_.end(), [&](auto& event) { return !TakeOut(open, event); }),
                 events_.end());
   edges_ = std::count_if(events_.begin(), events_.end(), IsEdge<Pose>);
-  if (events_.size() < had) over_at_ = 0;  // a look on the way may have seen it
+  if (events_.size() == had || look_.over_at == 0) return;
+  // The look on the way may have seen it: another one.
+  look_ = {};
+  looked_at_ /= 2;
+  poses_looked_at_ /= 2;
 }
 
 template <class Pose>
 void StreamReview<Pose>::Stop() {
   records_ = false;
-  over_at_ = 0;
+  look_ = {};
   events_ = {};
 }
 
@@ -258,21 +264,27 @@ bool StreamReview<Pose>::IsEnough() const {
 template <class Pose>
 auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
   const MeasuredGraph<Pose> measured(beginning.events);
-  Looked out{{}, beginning.scale, beginning.settings.thresholds, std::move(beginning.events), std::nullopt};
+  OnTheWay& look = beginning.look;
+  Looked out{{}, beginning.scale, beginning.settings.thresholds, std::move(beginning.events), std::nullopt, ""};
   CompactOptions<Pose>& settings = beginning.settings;
   const auto choose = [&] {
-    const Thresholds<Pose> found =
-        ChooseThresholds(out.events, out.scale, ForScale(settings, out.scale), beginning.options.chosen);
-    if (AreSame(found, out.thresholds)) return false;
-    out.thresholds = settings.thresholds = found;
-    return true;
+    try {
+      const Thresholds<Pose> found =
+          ChooseThresholds(out.events, out.scale, ForScale(settings, out.scale), beginning.options.chosen);
+      if (AreSame(found, out.thresholds)) return false;
+      out.thresholds = settings.thresholds = found;
+      return true;
+    } catch (const std::exception& error) {  // all else can do without
+      out.failure = error.what();
+      return false;
+    }
   };
   const auto make_again = [&] {
     out.remade.emplace(settings, out.scale);
     out.remade->TakeUpTo(out.events);
   };
   bool is_other = false;
-  if (beginning.options.information) {
+  if (beginning.options.information && !look.is_early) {
     out.information = CalibrateInformation(measured.graph, beginning.options.estimate);
     // What cannot be told leaves the scale that was found from less.
     const bool is_told = out.information.verdict != InformationVerdict::kUndetermined;
@@ -281,20 +293,19 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
   }
   if (choose() || is_other) {
     make_again();
-    const auto is_loop = [&](std::size_t k) {
-      return measured.opens[k] == 0 && IsEdge(out.events[measured.event_of[k]]);
-    };
     long loops = 0;
-    for (std::size_t k = 0; k < measured.opens.size(); ++k) loops += is_loop(k);
-    beginning.is_in_doubt = beginning.is_in_doubt || AreLoopsInDoubt(out.remade->refused, loops);
-    beginning.trajectory = out.remade->slam->Trajectory();
+    for (std::size_t k = 0; k < measured.opens.size(); ++k) {
+      loops += measured.opens[k] == 0 && IsEdge(out.events[measured.event_of[k]]);
+    }
+    look.is_in_doubt = look.is_in_doubt || AreLoopsInDoubt(out.remade->refused, loops);
+    look.trajectory = out.remade->slam->Trajectory();
   }
   BatchOptions judged;
   judged.robust = ForScale(settings, out.scale).solver.robust;
-  if (!beginning.is_in_doubt || judged.robust.kernel != RobustKernel::kGnc) return out;
+  if (look.is_early || !look.is_in_doubt || judged.robust.kernel != RobustKernel::kGnc) return out;
   std::vector<char> is_wrong(out.events.size());
-  for (const FactorId id : ContradictedLoops(ScaleInformation(measured.graph, out.scale),
-                                             ValuesFor(measured, beginning.trajectory), judged)) {
+  const PoseGraph<Pose> scaled = ScaleInformation(measured.graph, out.scale);
+  for (const FactorId id : ContradictedLoops(scaled, ValuesFor(measured, look.trajectory), judged)) {
     const auto k = static_cast<std::size_t>(id.value);
     is_wrong[measured.event_of[k]] = measured.opens[k] == 0;
   }
@@ -311,20 +322,22 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
 }
 
 template <class Pose>
-void StreamReview<Pose>::Begin(std::size_t events, const CompactPoseSlam<Pose>& slam) {
-  events_of_look_ = events;
-  Beginning beginning{settings_, options_, scale_, {}, IsInDoubt(), {}};
-  beginning.events.assign(events_.begin(), events_.begin() + static_cast<std::ptrdiff_t>(events));
-  if (beginning.is_in_doubt) beginning.trajectory = slam.Trajectory();
-  look_ = std::async([beginning = std::move(beginning)]() mutable { return LookAt(std::move(beginning)); });
+void StreamReview<Pose>::Begin() {
+  Beginning beginning{settings_, options_, scale_, {}, look_};
+  beginning.events.assign(events_.begin(), events_.begin() + static_cast<std::ptrdiff_t>(look_.events));
+  looked_ = std::async([beginning = std::move(beginning)]() mutable { return LookAt(std::move(beginning)); });
 }
 
 // A map that cannot be made is none.
 template <class Pose>
-auto StreamReview<Pose>::End() -> std::optional<Found> {
-  over_at_ = 0;
+auto StreamReview<Pose>::End(const LogSink& log) -> std::optional<Found> {
+  look_ = {};
+  const auto warn = [&](const std::string& why) {
+    if (!why.empty()) Log(log, LogLevel::kWarning, "a look at what was measured so far: ", why);
+  };
   try {
-    Looked looked = look_.get();
+    Looked looked = looked_.get();
+    warn(looked.failure);
     if (!looked.remade) return std::nullopt;
     std::vector<StreamEvent<Pose>> events = std::move(looked.events);
     const auto seen = static_cast<std::ptrdiff_t>(events.size());
@@ -336,32 +349,48 @@ auto StreamReview<Pose>::End() -> std::optional<Found> {
     refused_ = looked.remade->refused;
     const auto left_out = std::count_if(events_.begin(), events_.end(), [](const auto& e) { return e.is_left_out; });
     return Found{{std::move(looked.information), scale_, static_cast<int>(left_out), {}}, std::move(*looked.remade)};
-  } catch (const std::exception&) {
+  } catch (const std::exception& error) {
+    warn(error.what());
   }
   return std::nullopt;
+}
+
+template <class Pose>
+bool StreamReview<Pose>::IsDue(bool is_last, bool is_enough) const {
+  if (is_last || is_enough) {
+    return Loops() > looked_at_ || (options_.chosen.Any() && poses_ > poses_looked_at_);
+  }
+  const bool is_early = Loops() < kFirstLoops && options_.chosen.Any();
+  return Loops() >= std::max(kFirstLoops, 2 * looked_at_) ||
+         (is_early && poses_ >= std::max(kFirstPoses, 2 * poses_looked_at_));
 }
 
 template <class Pose>
 auto StreamReview<Pose>::Look(const CompactPoseSlam<Pose>& slam, bool is_last) -> std::optional<Found> {
   std::optional<Found> found;
   if (!records_) return found;
-  if (over_at_ > 0 && (is_last || poses_ >= over_at_)) {
-    found = End();
-    if (is_last_look_) Stop();
+  if (look_.over_at > 0 && (is_last || poses_ >= look_.over_at)) {
+    const bool was_last = look_.is_last;
+    found = End(slam.Options().log);
+    if (was_last) Stop();
   }
-  if (!records_ || over_at_ > 0) return found;
+  if (!records_ || look_.over_at > 0) return found;
   const bool is_enough = IsEnough();
-  const long least = is_last || is_enough ? looked_at_ + 1 : std::max(kFirstLoops, 2 * looked_at_);
-  if (Loops() >= least || ((is_last || is_enough) && HasNoThresholds())) {
-    looked_at_ = Loops();
-    is_last_look_ = is_enough;
-    Begin(events_.size(), found ? *found->remade.slam : slam);
-    over_at_ = poses_ + std::max(kLeastPosesOfLook, poses_ / kShareOfLook);
+  if (IsDue(is_last, is_enough)) {
+    look_.events = events_.size();
+    look_.over_at = poses_ + std::max(kLeastPosesOfLook, poses_ / kShareOfLook);
+    look_.is_last = is_enough;
+    look_.is_early = Loops() < kFirstLoops && !is_last && !is_enough;
+    look_.is_in_doubt = IsInDoubt();
+    if (look_.is_in_doubt) look_.trajectory = (found ? *found->remade.slam : slam).Trajectory();
+    if (!look_.is_early) looked_at_ = Loops();
+    poses_looked_at_ = poses_;
+    Begin();
   } else if (is_enough) {
     Stop();
   }
-  if (!is_last || over_at_ == 0) return found;
-  std::optional<Found> last = End();
+  if (!is_last || look_.over_at == 0) return found;
+  std::optional<Found> last = End(slam.Options().log);
   return last ? std::move(last) : std::move(found);
 }
 
@@ -373,7 +402,11 @@ void StreamReview<Pose>::Serialize(Archive& archive) {
   archive(options_.information, range, min_loop_gain, min_pose_gain, link_covariance, sample_poses, sample_loops, draws,
           max_iterations, tolerance, seed);
   archive(scale_.odometry.translation, scale_.odometry.rotation, scale_.loops.translation, scale_.loops.rotation);
-  archive(records_, newest_, before_, poses_, edges_, refused_, looked_at_, is_last_look_, events_of_look_, over_at_);
+  archive(records_, newest_, before_, poses_, edges_, refused_, looked_at_, poses_looked_at_);
+  archive(settings_.innovation_quantile, settings_.solver.robust.quantile);
+  auto& [events, over_at, is_last, is_early, is_in_doubt, trajectory] = look_;
+  archive(events, over_at, is_last, is_early, is_in_doubt);
+  archive.Each(trajectory, [&](RecoveredPose<Pose>& pose) { archive(pose.id, pose.kept, pose.T_world_body); });
   archive.Each(events_, [&](StreamEvent<Pose>& event) {
     auto& [factor, T_world_body, ids, is_left_out] = event;
     archive(factor, T_world_body, ids, is_left_out);
@@ -392,14 +425,21 @@ std::string StreamReview<Pose>::FindStateDefect() const {
   }
   const long edges = std::count_if(events_.begin(), events_.end(), IsEdge<Pose>);
   if (edges != edges_ || poses_ < 0) return "another number of measurements than is stated";
-  return over_at_ > 0 && events_of_look_ > events_.size() ? "a look at more than there is" : "";
+  for (const auto& pose : look_.trajectory) {
+    if (!IsFinite(pose.T_world_body)) return "a trajectory that is not finite";
+  }
+  return look_.over_at > 0 && look_.events > events_.size() ? "a look at more than there is" : "";
 }
 
 template <class Pose>
 void StreamReview<Pose>::Resume(const CompactPoseSlam<Pose>& slam) {
-  settings_ = slam.Options();
+  CompactOptions<Pose> settings = slam.Options();
+  // As they were given; a map of scaled information has others.
+  settings.innovation_quantile = settings_.innovation_quantile;
+  settings.solver.robust.quantile = settings_.solver.robust.quantile;
+  settings_ = std::move(settings);
   settings_.log = settings_.solver.log = nullptr;
-  if (over_at_ > 0) Begin(events_of_look_, slam);
+  if (look_.over_at > 0) Begin();
 }
 
 #define TERSE_INSTANTIATE(Pose)                                           \

@@ -1,7 +1,8 @@
 #pragma once
 // The beginning of a stream as it was measured, and what it looks like from later on.
 //
-// When twice as many loops are there as at the last look, all that was measured so far is looked at again: what its
+// When twice as many loops are there as at the last look (before there are eight of them, twice as many poses, where
+// thresholds are to be chosen), all that was measured so far is looked at again: what its
 // residuals say of the information (CalibrateInformation), which thresholds fit it (SelectThresholds), and, where the
 // map refuses many loops, which of them are wrong (ContradictedLoops). If that is something else than what the map was
 // made with, the same measurements go through a new one. All this in a thread of its own, while the stream goes on with
@@ -81,14 +82,22 @@ class StreamReview {
   void Resume(const CompactPoseSlam<Pose>& slam);
 
  private:
-  // The beginning that a look is about.
+  // A look on the way.
+  struct OnTheWay {
+    std::size_t events = 0;                       // that it is about
+    long over_at = 0;                             // poses; 0: there is none
+    bool is_last = false;                         // all that is to be held is there
+    bool is_early = false;                        // for thresholds alone: loops are too few to tell more
+    bool is_in_doubt = false;                     // its loops, by the map as it was
+    std::vector<RecoveredPose<Pose>> trajectory;  // of that map then
+  };
+  // What it takes.
   struct Beginning {
     CompactOptions<Pose> settings;  // in use, as scale
     ReviewOptions options;
     InformationScale scale;
     std::vector<StreamEvent<Pose>> events;
-    bool is_in_doubt = false;                     // its loops, by the map as it is
-    std::vector<RecoveredPose<Pose>> trajectory;  // of that map
+    OnTheWay look;
   };
   struct Looked {
     InformationCalibration information;
@@ -96,30 +105,27 @@ class StreamReview {
     Thresholds<Pose> thresholds;
     std::vector<StreamEvent<Pose>> events;  // with what is left out
     std::optional<RemadeMap<Pose>> remade;  // if that is another one
+    std::string failure;                    // why thresholds could not be chosen, if so
   };
   static Looked LookAt(Beginning beginning);
-  // Whether it is the first chance to choose thresholds, and the last.
-  bool HasNoThresholds() const { return options_.chosen.Any() && looked_at_ == 0; }
   long Loops() const { return edges_ - std::max(0L, poses_ - 1); }
   bool IsInDoubt() const;
   bool IsEnough() const;
-  void Begin(std::size_t events, const CompactPoseSlam<Pose>& slam);
-  std::optional<Found> End();
+  bool IsDue(bool is_last, bool is_enough) const;
+  void Begin();
+  std::optional<Found> End(const LogSink& log);
 
   CompactOptions<Pose> settings_;
   ReviewOptions options_;
   InformationScale scale_;
   bool records_ = false;
   std::vector<StreamEvent<Pose>> events_;
-  std::optional<PoseId> newest_, before_;  // poses in order of arrival
-  long poses_ = 0, edges_ = 0;             // of the events
-  long refused_ = 0;                       // loops, by the map
-  long looked_at_ = 0;                     // loops
-  bool is_last_look_ = false;              // for all that is to be held is there
-  // A look on the way: events that it is about, and with how many poses it is over; 0: there is none.
-  std::size_t events_of_look_ = 0;
-  long over_at_ = 0;
-  std::future<Looked> look_;
+  std::optional<PoseId> newest_, before_;     // poses in order of arrival
+  long poses_ = 0, edges_ = 0;                // of the events
+  long refused_ = 0;                          // loops, by the map
+  long looked_at_ = 0, poses_looked_at_ = 0;  // loops, but for early looks; poses
+  OnTheWay look_;
+  std::future<Looked> looked_;
 };
 
 }  // namespace terse::internal

@@ -374,6 +374,7 @@ TEST_F(SolveCommand, PoliciesAndGatesAllFinishAtTheOptimum) {
   EXPECT_EQ(run("--policy gni-spo-igg --gate always"), steps);
   EXPECT_EQ(run("--policy gni --gate never"), 0);
   EXPECT_LE(run("--policy gni-spo --step-budget-ms 1000 --initial file --paper-flops"), steps);
+  EXPECT_LE(run("--policy gni-spo --step-budget-ms 0 --initial file"), steps);
 }
 
 TEST_F(SolveCommand, RefusesStepOptionsThatMeanNothing) {
@@ -389,7 +390,7 @@ TEST_F(SolveCommand, RefusesStepOptionsThatMeanNothing) {
   ExpectFailure(incremental + "--step-tolerance 1", 2, "step-tolerance");
   ExpectFailure(incremental + "--step-tolerance 1 -1", 2, "step-tolerance");
   ExpectFailure(incremental + "--step-tolerance nan 1", 2, "step-tolerance");
-  ExpectFailure(incremental + "--step-budget-ms 0", 2, "step-budget-ms");
+  ExpectFailure(incremental + "--step-budget-ms -1", 2, "step-budget-ms");
   ExpectFailure(incremental + "--paper-flops", 2, "needs --steps");
   ExpectFailure(incremental + "--steps nowhere/steps.csv", 1, "nowhere");
   EXPECT_FALSE(Exists("steps.csv"));

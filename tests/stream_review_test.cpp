@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <set>
 #include <variant>
 
 #include "slow_build.h"
@@ -241,11 +242,14 @@ TEST(StreamReview, InventedInformationDoesNotLoseTheMap) {
   }
 }
 
-double LargestChange(const Thresholds<SE2>& a, const Thresholds<SE2>& b) {
+// A sum, so that nothing that is no number is overlooked.
+double ChangeOf(const Thresholds<SE2>& a, const Thresholds<SE2>& b) {
   const auto change = [](double x, double y) { return std::abs(std::log(x / y)); };
-  return std::max({change(a.range[0], b.range[0]), change(a.range[2], b.range[2]),
-                   change(a.min_loop_gain, b.min_loop_gain), change(a.min_pose_gain, b.min_pose_gain),
-                   change(a.link_covariance(0, 0), b.link_covariance(0, 0)) / 2});
+  double sum = change(a.min_loop_gain, b.min_loop_gain) + change(a.min_pose_gain, b.min_pose_gain);
+  for (int k = 0; k < 3; ++k) {
+    sum += change(a.range[k], b.range[k]) + change(a.link_covariance(k, k), b.link_covariance(k, k));
+  }
+  return sum;
 }
 
 // Those of the sample that a file would give, and the map that they give: with right information, with the unit matrix.
@@ -257,8 +261,8 @@ TEST(StreamReview, ThresholdsThatNobodyGaveAreChosen) {
     CompactOptions<SE2> of_file = Settings<SE2>();
     of_file.innovation_quantile = run.slam.Options().innovation_quantile;
     SampleThresholds(ScaleInformation(graph, run.stream.Scale()), of_file);
-    EXPECT_GT(LargestChange(Settings<SE2>().thresholds, of_file.thresholds), 0.3);
-    EXPECT_LT(LargestChange(run.slam.Options().thresholds, of_file.thresholds), 0.2);
+    EXPECT_GT(ChangeOf(Settings<SE2>().thresholds, of_file.thresholds), 0.3);
+    EXPECT_LT(ChangeOf(run.slam.Options().thresholds, of_file.thresholds), 0.2);
     Streamed<SE2> other = WithScale(InOrderOfArrival(graph), run.stream.Scale(), run.slam.Options().thresholds);
     other.Finish();
     EXPECT_TRUE(Picture(run.slam) == Picture(other.slam));
@@ -279,7 +283,7 @@ TEST(StreamReview, GivenThresholdsStay) {
   EXPECT_EQ(found.link_covariance, given.link_covariance);
 }
 
-// The end is then the only look: without a loop, with fewer than a look waits for; and with positions, far from zero.
+// Without a loop, with fewer than a look at all else waits for; and with positions, far from zero.
 TEST(StreamReview, ThresholdsOfFewLoops) {
   const std::vector<RelativePoseFactor<SE2>> factors = InOrderOfArrival(MakeWorld<SE2>(103).graph);
   for (const int most_loops : {0, 3}) {
@@ -306,12 +310,46 @@ TEST(StreamReview, ThresholdsOfFewLoops) {
         }
       }
       run.Finish();
-      EXPECT_EQ(run.made_again, 1);
+      EXPECT_GE(run.made_again, 1);
       CompactOptions<SE2> of_file = Settings<SE2>();
       of_file.innovation_quantile = run.slam.Options().innovation_quantile;
       SampleThresholds(ScaleInformation(graph, run.stream.Scale()), of_file);
-      EXPECT_EQ(LargestChange(run.slam.Options().thresholds, of_file.thresholds), 0);
+      EXPECT_LT(ChangeOf(run.slam.Options().thresholds, of_file.thresholds), 0.3);
     }
+  }
+}
+
+// A look that a discarded pose calls off is made again.
+TEST(StreamReview, ThresholdsOfAStreamWithDiscardedPoses) {
+  const std::vector<RelativePoseFactor<SE2>> factors = InOrderOfArrival(MakeWorld<SE2>(104).graph);
+  Streamed<SE2> run(Settings<SE2>());
+  run.stream.StartReviews(AllChosen());
+  for (size_t k = 0; k < 90; ++k) {
+    run.Add(factors[k]);
+    if (k < 30) continue;
+    run.Take(run.stream.Flush());
+    run.Add(RelativePoseFactor<SE2>{{0}, {1000000}, SE2({50, 3}, 1), Matrix<3, 3>::Identity()});
+    run.stream.Discard();
+  }
+  run.Finish();
+  EXPECT_GE(run.made_again, 1);
+  EXPECT_GT(ChangeOf(run.slam.Options().thresholds, Settings<SE2>().thresholds), 0.3);
+}
+
+// Long before there are loops the range is that of the odometry, or of what it tells apart if the robot stands still.
+TEST(StreamReview, ARobotWithoutLoopsKeepsFewPoses) {
+  for (const double step : {0.0, 3.0}) {
+    CompactOptions<SE2> options;
+    Streamed<SE2> run(options);
+    run.stream.StartReviews(AllChosen());
+    for (int k = 0; k < 400; ++k) {
+      run.Add(RelativePoseFactor<SE2>{{k}, {k + 1}, SE2({step, 0}, 0), 400 * Matrix<3, 3>::Identity()});
+      if (k != 60) continue;
+      EXPECT_GE(run.made_again, 1);
+      EXPECT_NEAR(run.slam.Options().thresholds.range[0], std::max(5 * step, 5 * 0.05), 1e-9);
+    }
+    run.Finish();
+    EXPECT_LT(run.slam.Solver().Graph().Poses().size(), 200u);
   }
 }
 
@@ -333,6 +371,40 @@ void ExpectGoesOnFromAFile(const ReviewOptions& options) {
     run.Finish();
     EXPECT_TRUE(Picture(run.slam) == whole) << saved_at;
   }
+}
+
+// What the map refuses while a look is on the way comes too late for it, from a file too.
+TEST(StreamReview, AFileHoldsWhatALookBeganWith) {
+  const TestFile file("stream.state");
+  std::vector<RelativePoseFactor<SE2>> measured;
+  int loops = 0;
+  size_t begun = 0;  // with how many the look has
+  std::set<std::int64_t> known;
+  for (const auto& factor : InOrderOfArrival(MakeWorld<SE2>(105).graph)) {
+    measured.push_back(factor);
+    const bool is_loop = !known.insert(factor.to.value).second;
+    loops += is_loop;
+    if (loops == 4 && is_loop) measured.back().T_from_to = SE2({40, 9}, 1) * factor.T_from_to;
+    if (loops == 8 && begun == 0) begun = measured.size();
+    const bool is_new = begun > 0 && !is_loop && measured.size() < begun + 20;
+    if (is_new) {
+      const double wrong = static_cast<double>(measured.size());
+      measured.push_back({{1}, factor.to, SE2({50 + wrong, 3 * wrong}, 1), factor.information});
+    }
+    if (begun > 0 && measured.size() > begun + 60) break;
+  }
+  Streamed<SE2> straight(Settings<SE2>());
+  straight.stream.StartReviews();
+  for (size_t k = 0; k < measured.size(); ++k) {
+    straight.Add(measured[k]);
+    if (k == begun + 15) straight.stream.Save(file.Path());
+  }
+  Streamed<SE2> run(Settings<SE2>());
+  run.stream = MeasurementStream<SE2>::Load(file.Path(), run.slam);
+  run.decisions.resize(run.slam.PosesSeen());
+  for (size_t k = begun + 16; k < measured.size(); ++k) run.Add(measured[k]);
+  EXPECT_TRUE(Picture(run.slam) == Picture(straight.slam));
+  EXPECT_EQ(run.made_again, straight.made_again);
 }
 
 // A look on the way included.

@@ -264,7 +264,7 @@ class Run {
     const bool is_last = small && lambda == 0 && decrease >= -tolerance;
     if (std::isfinite(trial.cost) && (decrease >= 0 || is_last)) {
       Accept(std::move(trial));
-      damping_control_.Accept(small ? 1 : decrease / predicted);  // of a small one rounding is left
+      damping_control_.Accept(predicted > tolerance ? decrease / predicted : 1);  // below it is rounding
       if (best_ && cost_ < best_->cost) {
         best_.reset();
         climbing_ = 0;
@@ -275,7 +275,7 @@ class Run {
     } else if (!small || lambda > 0) {
       return Reject("chi2 would rise from " + Shortest(cost_) + " to " + Shortest(trial.cost));
     }
-    if (best_ && ++climbing_ > kClimb) Retreat();
+    if (best_ && ++climbing_ > kClimb) return Retreat("full steps do not come out below");
     if (!best_ && lambda == 0 && (small || (decrease >= 0 && decrease <= tolerance))) {
       Finish(Termination::kConverged, "chi2 changes by less than " + Shortest(tolerance_) + " of itself");
     }
@@ -301,27 +301,27 @@ class Run {
     return cost < 100 * (best_ ? best_->cost : cost_);
   }
 
-  void Retreat() {
+  void Retreat(const std::string& why) {
     Log(options_.log, LogLevel::kInfo, "batch: iteration ", result_.iterations,
         ": full steps do not come out below cost ", best_->cost, ", damped steps from there");
     Accept(std::move(*best_));
     best_.reset();
     climbing_ = 0;
-    if (!IsAtRest()) damping_control_.Reject();
+    if (!IsAtRest(why)) damping_control_.Reject();
   }
 
   // Full steps failed, and all that was gained since they failed before is less than what counts.
-  bool IsAtRest() {
+  bool IsAtRest(const std::string& why) {
     const bool is_at_rest = setback_ && *setback_ - cost_ <= tolerance_ * cost_ + 1e-16;
-    if (is_at_rest) Finish(Termination::kStalled, "full steps raise chi2, and damped ones do not lower it");
+    if (is_at_rest) Finish(Termination::kStalled, why + ", and damped steps gain nothing");
     setback_ = cost_;
     return is_at_rest;
   }
 
   void Reject(const std::string& why) {
-    if (best_) return Retreat();
+    if (best_) return Retreat(why);
     if (options_.method == Method::kGaussNewton) return Finish(Termination::kDiverged, why);
-    if (damping_control_.Lambda() == 0 && IsAtRest()) return;
+    if (damping_control_.Lambda() == 0 && IsAtRest(why)) return;
     damping_control_.Reject();
     Log(options_.log, LogLevel::kDebug, "batch: iteration ", result_.iterations, ": rejected, ", why, ", damping ",
         damping_control_.Lambda());

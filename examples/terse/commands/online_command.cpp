@@ -86,18 +86,17 @@ ordered_json ChosenNames(const ThresholdChoice& chosen) {
   return names;
 }
 
-// Those that nobody gave; with a journal, as it has it.
+// Those that nobody gave; with a journal, of those that it has.
 ThresholdChoice Chosen(const OnlineCommandOptions& options, const ordered_json* begun) {
-  const auto is_chosen = [&](const char* name, bool is_given) {
-    if (begun == nullptr) return !is_given;
-    const ordered_json names = begun->value(kChosen, ordered_json::array());
-    return std::find(names.begin(), names.end(), name) != names.end();
-  };
+  const ordered_json of_journal = begun != nullptr ? begun->value(kChosen, ordered_json::array()) : ordered_json();
   const bool none = !options.thresholds.empty() || options.strategy == Strategy::kApal;
-  return {is_chosen("range", none || !options.range.empty()),
-          is_chosen("min_loop_gain", none || options.min_loop_gain.has_value()),
-          is_chosen("min_pose_gain", none || options.min_pose_gain.has_value()),
-          is_chosen("link_covariance", none || !options.link_deviation.empty())};
+  const auto is_chosen = [&](const char* name, bool is_given) {
+    const bool may = begun == nullptr || std::find(of_journal.begin(), of_journal.end(), name) != of_journal.end();
+    return may && !is_given && !none;
+  };
+  return {is_chosen("range", !options.range.empty()), is_chosen("min_loop_gain", options.min_loop_gain.has_value()),
+          is_chosen("min_pose_gain", options.min_pose_gain.has_value()),
+          is_chosen("link_covariance", !options.link_deviation.empty())};
 }
 
 // What a journal's lines mean depends on these.

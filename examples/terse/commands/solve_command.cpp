@@ -351,7 +351,7 @@ std::vector<CLI::Option*> AddStepOptions(CLI::App& command, SolveOptions& option
                     ->type_name("METRES RADIANS"));
   out.push_back(command
                     .add_option("--step-budget-ms", options.step_budget_ms,
-                                "Time for a step; what does not fit is left to later steps")
+                                "Time for a step; what does not fit is left to later steps; 0: no limit, the default")
                     ->check(FindSizeDefect)
                     ->type_name("MS"));
   out.push_back(command.add_option("--steps", options.steps, "Write a row per step (CSV)")->type_name("PATH"));
@@ -369,9 +369,6 @@ void CheckUsage(SolveOptions& options, const std::vector<CLI::Option*>& step_opt
     }
   }
   options.gate_given = step_options[1]->count() > 0;
-  if (step_options[4]->count() > 0 && options.step_budget_ms == 0) {
-    throw CLI::ValidationError("--step-budget-ms", "a step needs some time");
-  }
   if (options.paper_flops && (options.policy == Policy::kDefault || options.steps.empty())) {
     throw CLI::ValidationError("--paper-flops", "needs --steps and a --policy other than default");
   }

@@ -35,7 +35,8 @@ class GraphReplay {
   // A sensor range that covers the links (the odometry, if there are no links): 1.5 times the longest one's length in
   // each direction, the largest angle but at least one radian. Of every hundred links the longest does not count, nor
   // does the one of the largest angle: it may be absurd. Where there are fewer links than one per hundred poses the
-  // range is at least five mean steps of the odometry: the links happen to be short.
+  // range is at least five mean steps of the odometry: the links happen to be short; and five standard deviations of a
+  // link's position.
   Vector<Displacement<Pose>::kSize> LinkRange(const DistanceOptions& options = {}) const;
   // The same, but it covers these links in place of all.
   Vector<Displacement<Pose>::kSize> LinkRange(const std::vector<RelativePoseFactor<Pose>>& links,

@@ -14,8 +14,9 @@
 // of its first loops are wrong. With StartReviews(), from eight loops on and each time that there are twice as many, a
 // thread of its own looks at all that was measured so far, as CompactGraph does with a file: scales information that
 // nobody estimated or that residuals contradict (information_scale.h), judges all loops together where the map refuses
-// many (contradicted_loops.h), chooses the thresholds that it is asked to choose (thresholds.h), and if something else
-// comes out makes the map again. TakeReview() takes it over.
+// many (contradicted_loops.h), chooses the thresholds that it is asked to choose (thresholds.h; before there are eight
+// loops each time that there are twice as many poses), and if something else comes out makes the map again.
+// TakeReview() takes it over.
 //
 // Throws std::invalid_argument for what contradicts the measurements before it, NumericalError where the solver fails,
 // and is then as before: a pose at hand that cannot be closed stays at hand until Discard() gives it up. Not
@@ -53,7 +54,7 @@ using StreamOutcome = std::variant<Decision, LateLink, LatePrior>;
 
 struct ReviewOptions {
   bool information = true;  // else it stays as it is stated
-  // By SelectThresholds. Until the first look, and where there are no loops, those of the map's options are in use.
+  // By SelectThresholds, from 32 poses on. Before, those of the map's options are in use.
   ThresholdChoice chosen;
   // The samples asked for end with five times the poses or ten times the loops too, where the other is rare: until then
   // all measurements are held and reviewed, and none later.
