@@ -264,7 +264,8 @@ void AddOnlineCommand(CLI::App& app) {
           "From eight loops on, each time that there are twice as many, all that was measured so far is looked "
           "at again, beside the run: information that nobody estimated or that is too certain is scaled to what "
           "residuals say (not with loops), loops that the others contradict are left out (with gnc), and thresholds "
-          "that nobody gave are chosen. If that changes the map it is made again, and an answer tells of it "
+          "that nobody gave are chosen (from 32 poses on). If that changes the map it is made again, and an answer "
+          "tells of it "
           "(made_again)")
       ->check(CLI::IsMember({kReviewAll, kReviewLoops, kReviewOff}).description(""))
       ->option_text("all|loops|off")
