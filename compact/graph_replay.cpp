@@ -250,9 +250,10 @@ Vector<Displacement<Pose>::kSize> GraphReplay<Pose>::RangeOf(const Links& links,
       path += input.odometry->T_from_to.Translation().norm();
       ++steps;
     }
-    if (steps > 0) reach = std::max(reach, kStepsInRange * path / steps);
-    const double variance = LinkCovariance().diagonal().template head<Pose::kDim>().maxCoeff();
-    if (steps > 0) reach = std::max(reach, kDeviationsInRange * std::sqrt(variance));
+    if (steps > 0) {
+      const double variance = LinkCovariance().diagonal().template head<Pose::kDim>().maxCoeff();
+      reach = std::max({reach, kStepsInRange * path / steps, kDeviationsInRange * std::sqrt(variance)});
+    }
   }
   Vector<Displacement<Pose>::kSize> range;
   range.setConstant(std::max(reach, 1e-3));

@@ -102,15 +102,13 @@ std::vector<Pose> ValuesFor(const MeasuredGraph<Pose>& measured, const std::vect
   return out;
 }
 
-// Those that are to be chosen, by what is not left out.
+// Those that are to be chosen.
 template <class Pose>
-Thresholds<Pose> ChooseThresholds(const std::vector<StreamEvent<Pose>>& events, const InformationScale& scale,
-                                  CompactOptions<Pose> settings, const ThresholdChoice& chosen) {
-  if (!chosen.Any()) return settings.thresholds;
-  std::vector<StreamEvent<Pose>> believed;
-  std::copy_if(events.begin(), events.end(), std::back_inserter(believed), [](auto& e) { return !e.is_left_out; });
+Thresholds<Pose> ChooseThresholds(const PoseGraph<Pose>& graph, CompactOptions<Pose> settings,
+                                  const ThresholdChoice& chosen) {
   Thresholds<Pose> out = settings.thresholds;
-  SampleThresholds(ScaleInformation(MeasuredGraph<Pose>(believed).graph, scale), settings);
+  if (!chosen.Any()) return out;
+  SampleThresholds(graph, settings);
   const Thresholds<Pose>& found = settings.thresholds;
   if (chosen.range) out.range = found.range;
   if (chosen.min_loop_gain) out.min_loop_gain = found.min_loop_gain;
@@ -267,10 +265,15 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
   OnTheWay& look = beginning.look;
   Looked out{{}, beginning.scale, beginning.settings.thresholds, std::move(beginning.events), std::nullopt, ""};
   CompactOptions<Pose>& settings = beginning.settings;
+  PoseGraph<Pose> scaled;
   const auto choose = [&] {
+    std::vector<FactorId> left_out;
+    for (std::size_t k = 0; k < measured.event_of.size(); ++k) {
+      if (out.events[measured.event_of[k]].is_left_out) left_out.push_back(scaled.Factors()[k].id);
+    }
     try {
       const Thresholds<Pose> found =
-          ChooseThresholds(out.events, out.scale, ForScale(settings, out.scale), beginning.options.chosen);
+          ChooseThresholds(WithoutFactors(scaled, left_out), ForScale(settings, out.scale), beginning.options.chosen);
       if (AreSame(found, out.thresholds)) return false;
       out.thresholds = settings.thresholds = found;
       return true;
@@ -291,6 +294,7 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
     is_other = is_told && !AreSame(out.information.scale, beginning.scale);
     if (is_other) out.scale = out.information.scale;
   }
+  scaled = ScaleInformation(measured.graph, out.scale);
   if (choose() || is_other) {
     make_again();
     long loops = 0;
@@ -304,7 +308,6 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
   judged.robust = ForScale(settings, out.scale).solver.robust;
   if (look.is_early || !look.is_in_doubt || judged.robust.kernel != RobustKernel::kGnc) return out;
   std::vector<char> is_wrong(out.events.size());
-  const PoseGraph<Pose> scaled = ScaleInformation(measured.graph, out.scale);
   for (const FactorId id : ContradictedLoops(scaled, ValuesFor(measured, look.trajectory), judged)) {
     const auto k = static_cast<std::size_t>(id.value);
     is_wrong[measured.event_of[k]] = measured.opens[k] == 0;

@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <random>
 #include <string_view>
 
 #include "terse/core/error.h"
@@ -164,6 +165,46 @@ TYPED_TEST(BatchSolverTest, RefusesMisuse) {
   EXPECT_THROW(SolveBatch(graph, std::vector<TypeParam>()), std::invalid_argument);
   graph.AddPose(PoseId{0});
   EXPECT_THROW(SolveBatch(graph, std::vector<TypeParam>()), std::invalid_argument);
+}
+
+// A chain whose loops contradict it by far.
+int IterationsOfAContradiction(double translation, double rotation, int loops, unsigned seed) {
+  constexpr int kPoses = 100;
+  std::mt19937 engine(seed);
+  std::normal_distribution<double> normal;
+  std::uniform_int_distribution<int> any(0, kPoses - 1);
+  const Vector<3> deviations(translation, translation, rotation);
+  const Matrix<3, 3> information = deviations.cwiseAbs2().cwiseInverse().asDiagonal();
+  PoseGraph<SE2> graph;
+  std::vector<SE2> start{SE2()};
+  graph.AddPose({0});
+  for (int k = 1; k < kPoses; ++k) {
+    const double theta = (k % 20 == 0 ? 1.57 : 0) + rotation * normal(engine);
+    const double x = 1 + translation * normal(engine), y = translation * normal(engine);
+    const SE2 T({x, y}, theta);
+    graph.AddPose({k});
+    graph.AddFactor(RelativePoseFactor<SE2>{{k - 1}, {k}, T, information});
+    start.push_back(start.back() * T);
+  }
+  for (int k = 0; k < loops; ++k) {
+    const int a = any(engine), b = any(engine);
+    if (a == b) continue;
+    const double theta = normal(engine), x = 3 * normal(engine), y = 3 * normal(engine);
+    graph.AddFactor(RelativePoseFactor<SE2>{{a}, {b}, SE2({x, y}, theta), information});
+  }
+  BatchOptions options;
+  options.max_iterations = 1000;
+  return SolveBatch(graph, start, options).iterations;
+}
+
+// Where the cost is at rest damping must not grow on what rounding says of it, until there is no iteration left.
+TEST(BatchSolver, ComesToRest) {
+  EXPECT_LT(IterationsOfAContradiction(0.001, 0.01, 5, 18), 300);
+  EXPECT_LT(IterationsOfAContradiction(0.01, 0.01, 5, 15), 300);
+  EXPECT_LT(IterationsOfAContradiction(0.01, 0.05, 5, 4), 300);
+  EXPECT_LT(IterationsOfAContradiction(0.1, 0.05, 5, 28), 300);
+  EXPECT_LT(IterationsOfAContradiction(0.1, 0.05, 20, 24), 300);
+  EXPECT_LT(IterationsOfAContradiction(0.1, 0.2, 20, 6), 300);
 }
 
 }  // namespace

@@ -128,7 +128,6 @@ class Run {
 
   // At most so many steps.
   void Descend(int steps) {
-    setback_.reset();
     for (int k = 0; !done_; ++k) {
       if (k >= steps) {
         Finish(Termination::kMaxIterations, "stopped after " + std::to_string(result_.iterations) + " iterations");
@@ -264,7 +263,7 @@ class Run {
     const bool is_last = small && lambda == 0 && decrease >= -tolerance;
     if (std::isfinite(trial.cost) && (decrease >= 0 || is_last)) {
       Accept(std::move(trial));
-      damping_control_.Accept(predicted > tolerance ? decrease / predicted : 1);  // below it is rounding
+      damping_control_.Accept(predicted > kRounding * cost_ ? decrease / predicted : 1);
       if (best_ && cost_ < best_->cost) {
         best_.reset();
         climbing_ = 0;
@@ -275,7 +274,7 @@ class Run {
     } else if (!small || lambda > 0) {
       return Reject("chi2 would rise from " + Shortest(cost_) + " to " + Shortest(trial.cost));
     }
-    if (best_ && ++climbing_ > kClimb) return Retreat("full steps do not come out below");
+    if (best_ && ++climbing_ > kClimb) return Retreat();
     if (!best_ && lambda == 0 && (small || (decrease >= 0 && decrease <= tolerance))) {
       Finish(Termination::kConverged, "chi2 changes by less than " + Shortest(tolerance_) + " of itself");
     }
@@ -301,27 +300,18 @@ class Run {
     return cost < 100 * (best_ ? best_->cost : cost_);
   }
 
-  void Retreat(const std::string& why) {
+  void Retreat() {
     Log(options_.log, LogLevel::kInfo, "batch: iteration ", result_.iterations,
         ": full steps do not come out below cost ", best_->cost, ", damped steps from there");
     Accept(std::move(*best_));
     best_.reset();
     climbing_ = 0;
-    if (!IsAtRest(why)) damping_control_.Reject();
-  }
-
-  // Full steps failed, and all that was gained since they failed before is less than what counts.
-  bool IsAtRest(const std::string& why) {
-    const bool is_at_rest = setback_ && *setback_ - cost_ <= tolerance_ * cost_ + 1e-16;
-    if (is_at_rest) Finish(Termination::kStalled, why + ", and damped steps gain nothing");
-    setback_ = cost_;
-    return is_at_rest;
+    damping_control_.Reject();
   }
 
   void Reject(const std::string& why) {
-    if (best_) return Retreat(why);
+    if (best_) return Retreat();
     if (options_.method == Method::kGaussNewton) return Finish(Termination::kDiverged, why);
-    if (damping_control_.Lambda() == 0 && IsAtRest(why)) return;
     damping_control_.Reject();
     Log(options_.log, LogLevel::kDebug, "batch: iteration ", result_.iterations, ": rejected, ", why, ", damping ",
         damping_control_.Lambda());
@@ -332,6 +322,7 @@ class Run {
   // Of the graduation, and how often the loops are told apart at most.
   static constexpr int kStageSteps = 2, kMostRounds = 20;
   static constexpr double kStageTolerance = 1e-3;
+  static constexpr double kRounding = 1e-12;  // of the cost: what a difference of two costs does not tell
 
   const PoseGraph<Pose>& graph_;
   Problem<Pose> problem_;
@@ -340,8 +331,7 @@ class Run {
   Damping damping_control_;
   std::vector<double> damping_;
   double cost_ = 0, tolerance_;
-  std::optional<State> best_;      // where full steps began to climb
-  std::optional<double> setback_;  // the cost at which full steps failed last, in this descent
+  std::optional<State> best_;  // where full steps began to climb
   int climbing_ = 0;
   bool done_ = false, singular_ = false;
   // What there is for the current values: the linearisation in next_, or in the factor, or that factored undamped.

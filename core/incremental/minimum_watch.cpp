@@ -106,9 +106,7 @@ std::optional<BatchResult<Pose>> MinimumWatch<Pose>::LowerMinimum(double cost, b
   options.max_iterations = kMostIterations;
   options.relative_tolerance = 1e-6;
   BatchResult<Pose> result = SolveBatch(map.Graph(), *values, options);
-  const bool is_somewhere = result.Converged() || result.termination == Termination::kMaxIterations ||
-                            result.termination == Termination::kStalled;
-  if (!is_somewhere) return std::nullopt;
+  if (!result.Converged() && result.termination != Termination::kMaxIterations) return std::nullopt;
   if (!(result.chi2 < kLower * cost)) return std::nullopt;
   return result;
 }

@@ -77,26 +77,32 @@ CompactOptions<Pose> MakeOptions(const OnlineCommandOptions& from) {
 }
 
 // In the words of thresholds.json.
+constexpr std::pair<const char*, bool ThresholdChoice::*> kChoices[] = {
+    {"range", &ThresholdChoice::range},
+    {"min_loop_gain", &ThresholdChoice::min_loop_gain},
+    {"min_pose_gain", &ThresholdChoice::min_pose_gain},
+    {"link_covariance", &ThresholdChoice::link_covariance}};
+
 ordered_json ChosenNames(const ThresholdChoice& chosen) {
   ordered_json names = ordered_json::array();
-  if (chosen.range) names.push_back("range");
-  if (chosen.min_loop_gain) names.push_back("min_loop_gain");
-  if (chosen.min_pose_gain) names.push_back("min_pose_gain");
-  if (chosen.link_covariance) names.push_back("link_covariance");
+  for (const auto& [name, is_chosen] : kChoices) {
+    if (chosen.*is_chosen) names.push_back(name);
+  }
   return names;
 }
 
 // Those that nobody gave; with a journal, of those that it has.
 ThresholdChoice Chosen(const OnlineCommandOptions& options, const ordered_json* begun) {
-  const ordered_json of_journal = begun != nullptr ? begun->value(kChosen, ordered_json::array()) : ordered_json();
-  const bool none = !options.thresholds.empty() || options.strategy == Strategy::kApal;
-  const auto is_chosen = [&](const char* name, bool is_given) {
-    const bool may = begun == nullptr || std::find(of_journal.begin(), of_journal.end(), name) != of_journal.end();
-    return may && !is_given && !none;
-  };
-  return {is_chosen("range", !options.range.empty()), is_chosen("min_loop_gain", options.min_loop_gain.has_value()),
-          is_chosen("min_pose_gain", options.min_pose_gain.has_value()),
-          is_chosen("link_covariance", !options.link_deviation.empty())};
+  ThresholdChoice chosen;
+  if (!options.thresholds.empty() || options.strategy == Strategy::kApal) return chosen;
+  const ThresholdChoice given{!options.range.empty(), options.min_loop_gain.has_value(),
+                              options.min_pose_gain.has_value(), !options.link_deviation.empty()};
+  const ordered_json names = begun != nullptr ? begun->value(kChosen, ordered_json::array()) : ordered_json();
+  for (const auto& [name, is_chosen] : kChoices) {
+    const bool may = begun == nullptr || std::find(names.begin(), names.end(), name) != names.end();
+    chosen.*is_chosen = may && !(given.*is_chosen);
+  }
+  return chosen;
 }
 
 // What a journal's lines mean depends on these.
@@ -265,8 +271,7 @@ void AddOnlineCommand(CLI::App& app) {
           "at again, beside the run: information that nobody estimated or that is too certain is scaled to what "
           "residuals say (not with loops), loops that the others contradict are left out (with gnc), and thresholds "
           "that nobody gave are chosen (from 32 poses on). If that changes the map it is made again, and an answer "
-          "tells of it "
-          "(made_again)")
+          "tells of it (made_again)")
       ->check(CLI::IsMember({kReviewAll, kReviewLoops, kReviewOff}).description(""))
       ->option_text("all|loops|off")
       ->default_str("all; as the journal has it");
