@@ -5,10 +5,10 @@
 #include <iterator>
 #include <utility>
 
-#include "terse/compact/supported_loops.h"
 #include "terse/core/chi_square.h"
 #include "terse/core/residual.h"
 #include "terse/core/robust.h"
+#include "terse/core/supported_loops.h"
 
 namespace terse {
 namespace {
@@ -163,18 +163,11 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
   return best.contradicted;
 }
 
-template <class Pose>
-PoseGraph<Pose> WithoutFactors(PoseGraph<Pose> graph, const std::vector<FactorId>& ids) {
-  for (const FactorId id : ids) graph.RemoveFactor(id);
-  return graph;
-}
-
-#define TERSE_INSTANTIATE(Pose)                                                                                    \
-  template bool AreLoopsInDoubt<Pose>(const CompactRun<Pose>&);                                                    \
-  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, const CompactRun<Pose>&,          \
-                                                         BatchOptions);                                            \
-  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, std::vector<Pose>, BatchOptions); \
-  template PoseGraph<Pose> WithoutFactors<Pose>(PoseGraph<Pose>, const std::vector<FactorId>&);
+#define TERSE_INSTANTIATE(Pose)                                                                           \
+  template bool AreLoopsInDoubt<Pose>(const CompactRun<Pose>&);                                           \
+  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, const CompactRun<Pose>&, \
+                                                         BatchOptions);                                   \
+  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, std::vector<Pose>, BatchOptions);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

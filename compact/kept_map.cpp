@@ -25,7 +25,9 @@ StepReport KeptMap<Pose>::Update(const GraphUpdate<Pose>& update) {
 
 template <class Pose>
 BatchResult<Pose> KeptMap<Pose>::Finish() {
-  BatchResult<Pose> result = solver_.Finish();
+  BatchOptions options;
+  options.graduate = false;  // which of all loops are wrong is asked before a map is made (contradicted_loops.h)
+  BatchResult<Pose> result = solver_.Finish(options);
   UpdateCovariances();
   return result;
 }

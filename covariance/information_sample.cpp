@@ -42,11 +42,11 @@ InformationSample<Pose> TakeSample(const PoseGraph<Pose>& graph, const EstimateO
 template <class Pose>
 double ShareOfAgreeingLoops(const InformationSample<Pose>& sample) {
   using Jacobian = typename Pose::Jacobian;
-  const OdometryChain<Pose> odometry(sample.terms, sample.graph.Poses().size());
+  const OdometryChain<Pose> odometry(ForwardEdges(sample.terms), sample.graph.Poses().size());
   if (!odometry.IsWhole() || sample.loops == 0) return 0;
   const double most = ChiSquareQuantile(0.99, Pose::kDof);
   long agreeing = 0;
-  for (const auto& loop : LoopMeasurements(sample.terms, sample.is_loop)) {
+  for (const auto& loop : ForwardEdges(sample.terms, sample.is_loop)) {
     const Pose difference = loop.T_first_last.Inverse() * odometry.Way(loop.first, loop.last);
     const Jacobian Ad = difference.Inverse().Adjoint();
     const Jacobian sum = odometry.CovarianceOf(loop.first, loop.last) + Ad * loop.covariance * Ad.transpose();

@@ -161,9 +161,9 @@ class Estimator {
   // wrong loops that they bend all residuals and none stands out. Then short cycles may tell the scale, or the
   // information is right as stated.
   void TryOthers(Attempt& best) {
-    const auto cycles = internal::ScaleOfShortCycles<Pose>(
-        internal::ShortCycles(internal::LoopMeasurements(sample_.terms, sample_.is_loop),
-                              internal::OdometryChain<Pose>(sample_.terms, sample_.graph.Poses().size())));
+    const auto cycles = internal::ScaleOfShortCycles<Pose>(internal::ShortCycles(
+        internal::ForwardEdges(sample_.terms, sample_.is_loop),
+        internal::OdometryChain<Pose>(internal::ForwardEdges(sample_.terms), sample_.graph.Poses().size())));
     double over_stated = 0, over_cycles = 0;
     const KindScale least = cycles ? AboveFloor(*cycles) : KindScale{0, 0};
     for (int g = 0; g < kGroups; ++g) {

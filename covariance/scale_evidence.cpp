@@ -22,7 +22,7 @@ double HalfLogDeterminant(const Eigen::LLT<typename Pose::Jacobian>& llt) {
 
 // Logarithm of the volume that holds what the loops say, as if it were evenly spread.
 template <class Pose>
-double LogRange(const std::vector<LoopMeasurement<Pose>>& loops) {
+double LogRange(const std::vector<ForwardEdge<Pose>>& loops) {
   using Tangent = typename Pose::Tangent;
   Tangent sum = Tangent::Zero(), squares = Tangent::Zero();
   for (const auto& loop : loops) {
@@ -56,8 +56,9 @@ double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector
     cost -= HalfLogDeterminant<Pose>(Eigen::LLT<Jacobian>(t.factor.information));
     ++normals;
   }
-  const double log_range = LogRange(LoopMeasurements(terms, is_loop));
-  for (const auto& cycle : ShortCycles(LoopMeasurements(terms, is_wrong), OdometryChain<Pose>(terms, poses))) {
+  const double log_range = LogRange(ForwardEdges(terms, is_loop));
+  for (const auto& cycle :
+       ShortCycles(ForwardEdges(terms, is_wrong), OdometryChain<Pose>(ForwardEdges(terms), poses))) {
     if (!cycle) {
       cost += log_range;
       continue;

@@ -71,47 +71,14 @@ class ScaleEvidence : public ::testing::Test {};
 using Groups = ::testing::Types<SE2, SE3>;
 TYPED_TEST_SUITE(ScaleEvidence, Groups);
 
-TYPED_TEST(ScaleEvidence, ChainsHaveTheirCovariances) {
-  using Pose = TypeParam;
-  constexpr int B = Pose::kDof;
-  testing::Random random(3);
-  std::vector<ProbeTerm<Pose>> terms;
-  Pose way;
-  Matrix<B, B> covariance = Matrix<B, B>::Zero();
-  for (int k = 1; k < 12; ++k) {
-    const Pose T = testing::RandomMotion<Pose>(random, 2, 0.5);
-    const auto information = testing::RandomInformation<B>(random);
-    const bool turns = k % 3 == 0;
-    terms.push_back({turns ? k : k - 1, turns ? k - 1 : k,
-                     RelativePoseFactor<Pose>{{}, {}, turns ? T.Inverse() : T, information}, 1});
-    Matrix<B, B> of_step = information.inverse();
-    if (turns) of_step = T.Inverse().Adjoint() * of_step * T.Inverse().Adjoint().transpose();
-    if (k <= 4) continue;
-    way = way * T;
-    covariance = (T.Inverse().Adjoint() * covariance * T.Inverse().Adjoint().transpose() + of_step).eval();
-  }
-  const OdometryChain<Pose> chain(terms, 12);
-  EXPECT_TRUE(chain.IsWhole());
-  EXPECT_LT(chain.Way(4, 11).Local(way).norm(), 1e-12);
-  EXPECT_LT((chain.CovarianceOf(4, 11) - covariance).norm(), 1e-10 * covariance.norm());
-  const Matrix<B, B> Ad = way.Adjoint();
-  EXPECT_LT((chain.CovarianceOf(11, 4) - Ad * covariance * Ad.transpose()).norm(),
-            1e-9 * covariance.norm() * Ad.squaredNorm());
-  terms.erase(terms.begin() + 5);
-  const OdometryChain<Pose> gap(terms, 12);
-  EXPECT_FALSE(gap.IsWhole());
-  EXPECT_TRUE(gap.Joins(0, 5) && gap.Joins(6, 11));
-  EXPECT_FALSE(gap.Joins(5, 6));
-}
-
 // However many loops are wrong.
 TYPED_TEST(ScaleEvidence, ShortCyclesTellTheScale) {
   using Pose = TypeParam;
   for (const double noise : {0.2, 1.0, 20.0}) {
     for (const int wrong : {0, 6}) {
       const auto passes = MakePasses<Pose>(5, 400, noise, wrong);
-      const auto loops = LoopMeasurements(passes.terms, passes.is_loop);
-      const auto cycles = ShortCycles(loops, OdometryChain<Pose>(passes.terms, passes.truth.size()));
+      const auto loops = ForwardEdges(passes.terms, passes.is_loop);
+      const auto cycles = ShortCycles(loops, OdometryChain<Pose>(ForwardEdges(passes.terms), passes.truth.size()));
       const auto scale = ScaleOfShortCycles<Pose>(cycles);
       ASSERT_TRUE(scale);
       EXPECT_NEAR(std::log(scale->translation / noise), 0, std::log(1.5)) << noise << ", wrong " << wrong;
@@ -119,8 +86,9 @@ TYPED_TEST(ScaleEvidence, ShortCyclesTellTheScale) {
     }
   }
   const auto few = MakePasses<Pose>(5, 10, 1, 0);
-  const auto loops = LoopMeasurements(few.terms, few.is_loop);
-  EXPECT_FALSE(ScaleOfShortCycles<Pose>(ShortCycles(loops, OdometryChain<Pose>(few.terms, few.truth.size()))));
+  const auto loops = ForwardEdges(few.terms, few.is_loop);
+  EXPECT_FALSE(
+      ScaleOfShortCycles<Pose>(ShortCycles(loops, OdometryChain<Pose>(ForwardEdges(few.terms), few.truth.size()))));
 }
 
 // One factor s on all standard deviations changes the cost by chi2 (s^-2 - 1) / 2 + r log s, r the redundancy.

@@ -1,6 +1,6 @@
 // Which loops others near them bear out: by hand on a straight line, and against wrong loops in generated worlds.
 
-#include "terse/compact/supported_loops.h"
+#include "terse/core/supported_loops.h"
 
 #include <gtest/gtest.h>
 

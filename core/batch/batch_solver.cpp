@@ -363,7 +363,8 @@ BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pos
   const bool selects = options.robust.kernel == RobustKernel::kGnc && options.graduate && !options.robust_factors;
   if (!selects || initial.size() != graph.Poses().size()) return Run<Pose>(graph, initial, options).Execute();
   bool is_stopped = false;
-  const std::optional<internal::LoopSelection<Pose>> selected = internal::SolveByReplay(graph, options, is_stopped);
+  std::optional<internal::LoopSelection<Pose>> selected = internal::SelectBorneOut(graph, options, is_stopped);
+  if (!selected && !is_stopped) selected = internal::SelectByReplay(graph, options, is_stopped);
   BatchOptions from_there = options;
   from_there.graduate = !selected;
   if (is_stopped) from_there.progress = [](int, double) { return false; };

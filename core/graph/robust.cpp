@@ -127,10 +127,17 @@ PoseGraph<Pose> WithWeights(const PoseGraph<Pose>& graph, const std::vector<doub
   return out;
 }
 
+template <class Pose>
+PoseGraph<Pose> WithoutFactors(PoseGraph<Pose> graph, const std::vector<FactorId>& ids) {
+  for (const FactorId id : ids) graph.RemoveFactor(id);
+  return graph;
+}
+
 #define TERSE_INSTANTIATE(Pose)                                                                             \
   template std::vector<FactorId> LoopFactors<Pose>(const PoseGraph<Pose>&);                                 \
   template std::vector<FactorId> SlippedOdometry<Pose>(const PoseGraph<Pose>&, const std::vector<double>&); \
-  template PoseGraph<Pose> WithWeights<Pose>(const PoseGraph<Pose>&, const std::vector<double>&);
+  template PoseGraph<Pose> WithWeights<Pose>(const PoseGraph<Pose>&, const std::vector<double>&);           \
+  template PoseGraph<Pose> WithoutFactors<Pose>(PoseGraph<Pose>, const std::vector<FactorId>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

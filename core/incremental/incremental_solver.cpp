@@ -2,12 +2,15 @@
 
 #include "terse/core/incremental_solver.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <stdexcept>
 
 #include "incremental/gate.h"
 #include "incremental/loop_judge.h"
+#include "incremental/loop_selection.h"
 #include "incremental/minimum_watch.h"
 #include "incremental/steps.h"
 #include "support/stopwatch.h"
@@ -26,6 +29,8 @@ constexpr int kIterationsOfRound = 20;
 // A step without loops that still expects to lower the cost by so many loops: the steps lead nowhere.
 constexpr double kDiverging = 1e3;
 constexpr double kSameMinimum = 1e-3;
+// Of the loops: more than the tail of true ones.
+constexpr double kManyOut = 0.05;
 // What a restart or a rescue takes, about, in relinearisations of everything.
 constexpr int kRestartRounds = 30;
 // With a budget that it may exceed, a map is rescued at every so many steps at most.
@@ -64,6 +69,9 @@ struct IncrementalSolver<Pose>::Parts {
 
   void Add(const GraphUpdate<Pose>& update, const internal::UpdatePlan<Pose>& plan, const IncrementalOptions& options,
            StepReport& report);
+  std::optional<BatchResult<Pose>> SelectAnew(const BatchResult<Pose>& finished, const BatchOptions& given,
+                                              const IncrementalOptions& options) const;
+  BatchResult<Pose> TakeOptimum(BatchResult<Pose> result, const IncrementalOptions& options);
   [[noreturn]] void ThrowSingularUpdate(const GraphUpdate<Pose>& update, const internal::UpdatePlan<Pose>& plan,
                                         int failed_variable) const;
   void LogFrame(const internal::MapFrame<Pose>& before, bool has_moved, const IncrementalOptions& options) const;
@@ -327,24 +335,63 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
       if (!judge.ReviewAllOdometry(step) && !judge.JudgeParkedGroups(step)) break;
       FinishFrom(Estimates(), near);
     }
+    BatchResult<Pose> result = FinishFrom(Estimates(), options);
+    if (!options.graduate || result.termination == Termination::kNotPositiveDefinite) return result;
+    std::optional<BatchResult<Pose>> cheaper = parts_->SelectAnew(result, options, options_);
+    if (!cheaper) return result;
+    judge.LimitWidth(cheaper->robust_width);
+    return parts_->TakeOptimum(std::move(*cheaper), options_);
   }
   return FinishFrom(Estimates(), options);
+}
+
+// The optimum of loops that are told apart anew, if many are out and it is a better one.
+template <class Pose>
+std::optional<BatchResult<Pose>> IncrementalSolver<Pose>::Parts::SelectAnew(const BatchResult<Pose>& finished,
+                                                                            const BatchOptions& given,
+                                                                            const IncrementalOptions& options) const {
+  const PoseGraph<Pose>& graph = map.Graph();
+  const std::vector<FactorId> loops = LoopFactors(graph);
+  const auto out = std::count(finished.weights.begin(), finished.weights.end(), 0.0);
+  if (static_cast<double>(out) <= kManyOut * static_cast<double>(loops.size())) return std::nullopt;
+  BatchOptions anew = given;
+  anew.robust = options.robust;
+  bool is_stopped = false;
+  const auto selected = internal::SelectBorneOut(graph, anew, is_stopped);
+  if (!selected || is_stopped) return std::nullopt;
+  // Costs of different widths are not comparable.
+  const double width = std::min(selected->width, finished.robust_width);
+  const auto cost = [&](const std::vector<Pose>& T_world_body) {
+    return internal::TruncatedCost(graph, T_world_body, selected->robust_factors, width);
+  };
+  const double before = cost(finished.T_world_body), after = cost(selected->T_world_body);
+  if (!(after < before * (1 - kSameMinimum))) return std::nullopt;
+  Log(options.log, LogLevel::kInfo, "finish: loops told apart anew, cost ", before, " to ", after);
+  anew.graduate = false;
+  anew.robust.width = width;
+  anew.robust_factors = selected->robust_factors;
+  return SolveBatch(graph, selected->T_world_body, anew);
 }
 
 template <class Pose>
 BatchResult<Pose> IncrementalSolver<Pose>::FinishFrom(const std::vector<Pose>& T_world_body,
                                                       const BatchOptions& given) {
-  auto& [map, relinearization, gate, judge, watch, is_deferred] = *parts_;
   BatchOptions options = given;
   if (!options.log) options.log = options_.log;
-  BatchResult<Pose> result = judge.SolveBatch(map, T_world_body, options, options_.carry == Carry::kPoint);
+  const bool anew = options_.carry == Carry::kPoint;
+  return parts_->TakeOptimum(parts_->judge.SolveBatch(parts_->map, T_world_body, options, anew), options_);
+}
+
+template <class Pose>
+BatchResult<Pose> IncrementalSolver<Pose>::Parts::TakeOptimum(BatchResult<Pose> result,
+                                                              const IncrementalOptions& options) {
   if (result.termination == Termination::kNotPositiveDefinite) return result;
   StepReport report;
-  typename Parts::Step step{options_, map, relinearization, report};
+  Step step{options, map, relinearization, report};
   judge.TakeWeights(result.weights, step);
   // The Cholesky factor of this solver moves to the optimum too: every linearisation point changes.
   const double before = map.MinimumCost();
-  if (!parts_->MoveTo(result.T_world_body, options_)) throw NumericalError("the system is singular at the optimum");
+  if (!MoveTo(result.T_world_body, options)) throw NumericalError("the system is singular at the optimum");
   watch.NoteCorrection(std::abs(map.MinimumCost() - before));
   return result;
 }

@@ -1,48 +1,184 @@
 #include "incremental/loop_selection.h"
 
+#include <algorithm>
+#include <iterator>
 #include <stdexcept>
+#include <utility>
 
+#include "incremental/judged_loop.h"
+#include "terse/core/at.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
 #include "terse/core/replay.h"
+#include "terse/core/supported_loops.h"
 
 namespace terse::internal {
+namespace {
+
+using std::size_t;
 
 // Between two looks at whether the caller wants to go on.
 constexpr int kStepsBetweenProgress = 100;
+// Of the loops: where more have no support, it is not only chance that true ones stand alone, which up to 8 % do.
+constexpr double kManyAlone = 0.1;
+// Of the squared width: a loop whose innovation is larger is wrong. What is out within that may as well be the tail of
+// true ones, as long as it is no more than this share of what is in.
+constexpr double kByFar = 10, kTail = 0.01;
 
 template <class Pose>
-std::optional<LoopSelection<Pose>> SolveByReplay(const PoseGraph<Pose>& graph, const BatchOptions& options,
-                                                 bool& is_stopped) {
-  IncrementalOptions incremental;
-  incremental.robust = options.robust;
-  incremental.threads = options.threads;
-  incremental.log = options.log;
-  IncrementalSolver<Pose> solver(incremental);
-  try {
-    Replay<Pose>(graph, ReplayOptions(), solver, [&](const ReplayStep& step) {
-      const bool asks = options.progress && (step.index + 1) % kStepsBetweenProgress == 0;
-      is_stopped = asks && !options.progress(0, solver.Chi2());
-      return !is_stopped;
-    });
-    if (is_stopped) return std::nullopt;
-    BatchOptions finish = options;
-    finish.robust_factors.reset();
-    BatchResult<Pose> result = solver.Finish(finish);
-    OrderAsIn(graph, ArrivalUnit::kPose, solver.Graph(), result);
-    LoopSelection<Pose> selection{std::move(result.T_world_body), LoopFactors(graph), result.robust_width};
-    for (const FactorId id : SlippedOdometry(graph, result.weights)) selection.robust_factors.push_back(id);
-    return selection;
-  } catch (const NumericalError& error) {
-    Log(options.log, LogLevel::kInfo, "batch: no replay, ", error.what());
-  } catch (const std::invalid_argument& error) {
-    Log(options.log, LogLevel::kInfo, "batch: no replay, ", error.what());
+class Selector {
+ public:
+  static constexpr int B = Pose::kDof;
+  using Selection = LoopSelection<Pose>;
+  Selector(const PoseGraph<Pose>& graph, const BatchOptions& options, bool& is_stopped)
+      : graph_(graph), options_(options), is_stopped_(is_stopped), loops_(LoopFactors(graph)) {}
+
+  std::optional<Selection> SelectBorneOut() {
+    alone_ = UnsupportedLoops(graph_);
+    const bool are_many = static_cast<double>(alone_.size()) > kManyAlone * static_cast<double>(loops_.size());
+    if (!are_many || alone_.size() == loops_.size()) return std::nullopt;
+    std::optional<Selection> first = Replayed(WithoutFactors(graph_, alone_));
+    if (!first) return std::nullopt;
+    const Verdict verdict = Judge(*first);
+    Log(options_.log, LogLevel::kInfo, "batch: ", alone_.size(), " of ", loops_.size(), " loops have no support; the ",
+        "others explain ", verdict.explained, ", contradict ", verdict.wrong.size(), " of those, leave ", verdict.open,
+        " open");
+    if (2 * verdict.explained_alone >= verdict.explained) return std::nullopt;
+    if (static_cast<double>(verdict.open) <= kTail * static_cast<double>(verdict.explained)) return first;
+    std::optional<Selection> second = Replayed(WithoutFactors(graph_, verdict.wrong));
+    if (is_stopped_) return std::nullopt;
+    if (!second) return first;
+    const double width = std::min(first->width, second->width);  // costs of different ones are not comparable
+    return CostOf(*second, width) < CostOf(*first, width) ? std::move(second) : std::move(first);
   }
-  return std::nullopt;
+  std::optional<Selection> Select() { return Replayed(graph_); }
+
+ private:
+  // Of the loops at a map.
+  struct Verdict {
+    size_t explained = 0, explained_alone = 0;
+    size_t open = 0;              // out, but not by far
+    std::vector<FactorId> wrong;  // of those without support, by far
+  };
+
+  std::optional<Selection> Replayed(const PoseGraph<Pose>& part) {
+    IncrementalOptions incremental;
+    incremental.robust = options_.robust;
+    incremental.threads = options_.threads;
+    incremental.log = options_.log;
+    IncrementalSolver<Pose> solver(incremental);
+    try {
+      Replay<Pose>(part, ReplayOptions(), solver, [&](const ReplayStep& step) {
+        const bool asks = options_.progress && (step.index + 1) % kStepsBetweenProgress == 0;
+        is_stopped_ = asks && !options_.progress(0, solver.Chi2());
+        return !is_stopped_;
+      });
+      if (is_stopped_) return std::nullopt;
+      BatchOptions finish = options_;
+      finish.robust_factors.reset();
+      finish.graduate = false;  // or it would select in turn
+      BatchResult<Pose> result = solver.Finish(finish);
+      OrderAsIn(part, ArrivalUnit::kPose, solver.Graph(), result);
+      Selection selection{std::move(result.T_world_body), {}, result.robust_width};
+      const std::vector<FactorId> slips = SlippedOdometry(part, result.weights);
+      std::set_union(loops_.begin(), loops_.end(), slips.begin(), slips.end(),
+                     std::back_inserter(selection.robust_factors));
+      return selection;
+    } catch (const NumericalError& error) {
+      Log(options_.log, LogLevel::kInfo, "batch: no replay, ", error.what());
+    } catch (const std::invalid_argument& error) {
+      Log(options_.log, LogLevel::kInfo, "batch: no replay, ", error.what());
+    }
+    return std::nullopt;
+  }
+
+  // All loops, next to a selection, which comes to the optimum of those that are believed there.
+  Verdict Judge(Selection& selection) const {
+    BatchOptions next_to = options_;
+    next_to.graduate = false;
+    next_to.robust.width = selection.width;
+    next_to.robust_factors = selection.robust_factors;
+    const BatchResult<Pose> solved = SolveBatch(graph_, selection.T_world_body, next_to);
+    selection.T_world_body = solved.T_world_body;
+    Verdict out;
+    const double by_far = kByFar * selection.width * selection.width;
+    size_t k = 0;
+    for (const auto& node : graph_.Factors()) {
+      const double weight = solved.weights[k++];
+      if (!std::binary_search(loops_.begin(), loops_.end(), node.id)) continue;
+      const bool is_alone = std::binary_search(alone_.begin(), alone_.end(), node.id);
+      if (weight > 0) {
+        ++out.explained;
+        out.explained_alone += is_alone;
+      } else if (Innovation(std::get<RelativePoseFactor<Pose>>(node.factor), solved) <= by_far) {
+        ++out.open;
+      } else if (is_alone) {
+        out.wrong.push_back(node.id);
+      }
+    }
+    std::sort(out.wrong.begin(), out.wrong.end());
+    return out;
+  }
+
+  // Of a loop that is out.
+  double Innovation(const RelativePoseFactor<Pose>& loop, const BatchResult<Pose>& solved) const {
+    const int from = graph_.IndexOf(loop.from), to = graph_.IndexOf(loop.to);
+    const Pose& T_world_from = solved.T_world_body[At(from)];
+    const Pose& T_world_to = solved.T_world_body[At(to)];
+    LinearFactor<B> linear;
+    linear.first = from;
+    linear.second = to;
+    CompareExponentially(loop, SquareRootInformation(Factor<Pose>(loop)), T_world_from, T_world_to,
+                         T_world_to.Inverse() * T_world_from, linear);
+    const PathColumns<B> z = SolveForward(solved.cholesky.Tree(), linear);
+    const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(z, z);
+    return linear.residual.dot(S.llt().solve(linear.residual));
+  }
+
+  double CostOf(const Selection& selection, double width) const {
+    return TruncatedCost(graph_, selection.T_world_body, selection.robust_factors, width);
+  }
+
+  const PoseGraph<Pose>& graph_;
+  const BatchOptions& options_;
+  bool& is_stopped_;
+  std::vector<FactorId> loops_, alone_;  // ascending
+};
+
+}  // namespace
+
+template <class Pose>
+std::optional<LoopSelection<Pose>> SelectByReplay(const PoseGraph<Pose>& graph, const BatchOptions& options,
+                                                  bool& is_stopped) {
+  return Selector<Pose>(graph, options, is_stopped).Select();
 }
 
-#define TERSE_INSTANTIATE(Pose) \
-  template std::optional<LoopSelection<Pose>> SolveByReplay<Pose>(const PoseGraph<Pose>&, const BatchOptions&, bool&);
+template <class Pose>
+std::optional<LoopSelection<Pose>> SelectBorneOut(const PoseGraph<Pose>& graph, const BatchOptions& options,
+                                                  bool& is_stopped) {
+  return Selector<Pose>(graph, options, is_stopped).SelectBorneOut();
+}
+
+template <class Pose>
+double TruncatedCost(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
+                     const std::vector<FactorId>& robust, double width) {
+  double cost = 0;
+  for (const auto& node : graph.Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    const auto value = [&](PoseId id) { return T_world_body[At(graph.IndexOf(id))]; };
+    const double chi2 = FactorChi2(node.factor, value(ends.first), value(ends.second));
+    cost += std::binary_search(robust.begin(), robust.end(), node.id) ? std::min(chi2, width * width) : chi2;
+  }
+  return cost;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                                       \
+  template std::optional<LoopSelection<Pose>> SelectByReplay<Pose>(const PoseGraph<Pose>&, const BatchOptions&,       \
+                                                                   bool&);                                            \
+  template std::optional<LoopSelection<Pose>> SelectBorneOut<Pose>(const PoseGraph<Pose>&, const BatchOptions&,       \
+                                                                   bool&);                                            \
+  template double TruncatedCost<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, const std::vector<FactorId>&, \
+                                      double);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -12,14 +12,27 @@ namespace terse::internal {
 template <class Pose>
 struct LoopSelection {
   std::vector<Pose> T_world_body;        // the optimum with the loops that are believed, by pose index
-  std::vector<FactorId> robust_factors;  // the loops, and odometry that slipped
+  std::vector<FactorId> robust_factors;  // the loops, and odometry that slipped, ascending
   double width;                          // of the kernel, in the end
 };
 
 // By a replay in order of arrival, composed from the first pose on; nothing where that is not possible. is_stopped: the
 // caller's progress said so.
 template <class Pose>
-std::optional<LoopSelection<Pose>> SolveByReplay(const PoseGraph<Pose>& graph, const BatchOptions& options,
-                                                 bool& is_stopped);
+std::optional<LoopSelection<Pose>> SelectByReplay(const PoseGraph<Pose>& graph, const BatchOptions& options,
+                                                  bool& is_stopped);
+
+// The same where more than one loop in ten has no other that bears it out (supported_loops.h), nothing elsewhere. Those
+// that others bear out come first: few of them are wrong, so that little bends the map and the factor stays sparse. If
+// some of the rest could still be true, all but those without support that this map contradicts by far are replayed
+// once more, and the lower cost wins. Nothing, too, if most of what it explains stands alone.
+template <class Pose>
+std::optional<LoopSelection<Pose>> SelectBorneOut(const PoseGraph<Pose>& graph, const BatchOptions& options,
+                                                  bool& is_stopped);
+
+// Truncated least squares at these values by pose index; `robust` ascending.
+template <class Pose>
+double TruncatedCost(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
+                     const std::vector<FactorId>& robust, double width);
 
 }  // namespace terse::internal

@@ -21,6 +21,8 @@ constexpr int kReachOfPlace = 9;
 // the closest first, are compared by covariance.
 constexpr double kMuchLess = 9;
 constexpr size_t kMostWitnesses = 30;
+// Until so many in a row do not: the closest come first.
+constexpr size_t kMostInVain = 8;
 constexpr double kTolerance = 1e-6;  // of costs that are compared
 // With wrong loops among those that are in, a solver creeps; what it is worth shows long before.
 constexpr int kMostIterations = 20;
@@ -133,9 +135,14 @@ class Search {
     if (Places() < kLeastPlaces) return;
     std::sort(close.begin(), close.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
     if (close.size() > kMostWitnesses) close.resize(kMostWitnesses);
-    const auto contradicts = [&](const auto& entry) { return !Agree(newcomer, entry.second); };
-    close.erase(std::remove_if(close.begin(), close.end(), contradicts), close.end());
-    TakeWitnesses(newcomer, close);
+    std::vector<std::pair<double, Span<Pose>>> agreeing;
+    size_t in_vain = 0;
+    for (auto it = close.begin(); it != close.end() && in_vain < kMostInVain; ++it) {
+      const bool agrees = Agree(newcomer, it->second);
+      in_vain = agrees ? 0 : in_vain + 1;
+      if (agrees) agreeing.push_back(*it);
+    }
+    TakeWitnesses(newcomer, agreeing);
   }
 
   // The stretch, and those of these that cross it.

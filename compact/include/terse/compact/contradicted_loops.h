@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "terse/compact/compact_graph.h"
+#include "terse/core/robust.h"
 
 namespace terse {
 
@@ -37,9 +38,5 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const Comp
 // (kGnc), whose quantile is not looked at.
 template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options);
-
-// A copy without these factors, the others under their ids.
-template <class Pose>
-PoseGraph<Pose> WithoutFactors(PoseGraph<Pose> graph, const std::vector<FactorId>& ids);
 
 }  // namespace terse

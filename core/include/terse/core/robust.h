@@ -77,4 +77,8 @@ std::vector<FactorId> SlippedOdometry(const PoseGraph<Pose>& graph, const std::v
 template <class Pose>
 PoseGraph<Pose> WithWeights(const PoseGraph<Pose>& graph, const std::vector<double>& weights);
 
+// A copy without these factors, the others under their ids.
+template <class Pose>
+PoseGraph<Pose> WithoutFactors(PoseGraph<Pose> graph, const std::vector<FactorId>& ids);
+
 }  // namespace terse
