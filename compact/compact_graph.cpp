@@ -86,22 +86,18 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, c
   CompactOptions<Pose> options;
   options.strategy = strategy;
   const InformationScale scale = CalibrateInformation(graph).scale;
-  PoseGraph<Pose> seen = scale.IsOne() ? graph : ScaleInformation(graph, scale);
   if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
   options.solver.robust = MapRobust({DefaultKernel(strategy)}, options);
+  const PoseGraph<Pose> scaled = scale.IsOne() ? PoseGraph<Pose>() : ScaleInformation(graph, scale);
+  LoopJury<Pose> jury(scale.IsOne() ? graph : scaled, options.solver.robust);
   const auto run_once = [&] {
-    SampleThresholds(seen, options);
-    return CompactGraph(seen, options, after_step);
+    SampleThresholds(jury.Remaining(), options);
+    return CompactGraph(jury.Remaining(), options, after_step);
   };
+  jury.JudgeAtFirst();
   CompactRun<Pose> run = run_once();
-  if (options.solver.robust.kernel == RobustKernel::kGnc && AreLoopsInDoubt(run)) {
-    const std::vector<FactorId> left_out = ContradictedLoops(seen, run);
-    if (!left_out.empty()) {
-      seen = WithoutFactors(std::move(seen), left_out);
-      run = run_once();
-      run.loops_left_out = left_out;
-    }
-  }
+  if (jury.JudgeBy(run)) run = run_once();
+  run.loops_left_out = jury.LeftOut();
   run.information_scale = scale;
   return run;
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <string>
 #include <utility>
 
 #include "terse/core/chi_square.h"
@@ -14,6 +15,7 @@ namespace terse {
 namespace {
 
 constexpr int kLeastRefused = 3;
+constexpr std::size_t kLeastAlone = 50;
 constexpr double kDoubtfulShare = 0.01;
 // Of chi2, times the square of the width. Wrong loops, local ones too, are farther off in 999 of 1000 cases, true ones
 // seldom: none to two in a hundred on most graphs, three on manhattan.
@@ -117,13 +119,6 @@ bool AreLoopsInDoubt(const CompactRun<Pose>& run) {
 }
 
 template <class Pose>
-std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const CompactRun<Pose>& first,
-                                        BatchOptions options) {
-  options.robust = first.slam.Options().solver.robust;
-  return ContradictedLoops(graph, ValuesOf(first.slam, graph), std::move(options));
-}
-
-template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options) {
   // The map's width, where it is open, leaves room for what a map with few links does not know.
   options.robust.quantile = RobustOptions().quantile;
@@ -163,11 +158,51 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
   return best.contradicted;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                           \
-  template bool AreLoopsInDoubt<Pose>(const CompactRun<Pose>&);                                           \
-  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, const CompactRun<Pose>&, \
-                                                         BatchOptions);                                   \
-  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, std::vector<Pose>, BatchOptions);
+template <class Pose>
+std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph) {
+  const internal::LoopSupport support = internal::FindSupport(graph);
+  if (!support.are_suspect || support.unsupported.size() < kLeastAlone) return "";
+  return std::to_string(support.unsupported.size()) + " of " + std::to_string(support.loops) +
+         " loops have no other that bears them out";
+}
+
+template <class Pose>
+LoopJury<Pose>::LoopJury(const PoseGraph<Pose>& graph, const RobustOptions& robust, BatchOptions options)
+    : graph_(graph), options_(std::move(options)) {
+  options_.robust = robust;
+}
+
+template <class Pose>
+bool LoopJury<Pose>::JudgeAtFirst() {
+  if (options_.robust.kernel != RobustKernel::kGnc) return false;
+  const std::string why = WhyLoopsAreInDoubt(graph_);
+  return !why.empty() && Judge(why, {});
+}
+
+template <class Pose>
+bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
+  if (options_.robust.kernel != RobustKernel::kGnc || !AreLoopsInDoubt(run)) return false;
+  return Judge(
+      std::to_string(run.links_refused) + " of " + std::to_string(run.links_offered) + " loops contradict the map",
+      ValuesOf(run.slam, graph_));
+}
+
+template <class Pose>
+bool LoopJury<Pose>::Judge(const std::string& why, std::vector<Pose> first) {
+  if (on_judging) on_judging(why);
+  std::vector<FactorId> found = ContradictedLoops(graph_, std::move(first), options_);
+  if (found == left_out_) return false;
+  left_out_ = std::move(found);
+  remaining_.reset();
+  if (!left_out_.empty()) remaining_ = WithoutFactors(graph_, left_out_);
+  return true;
+}
+
+#define TERSE_INSTANTIATE(Pose)                                                                                    \
+  template std::string WhyLoopsAreInDoubt<Pose>(const PoseGraph<Pose>&);                                           \
+  template bool AreLoopsInDoubt<Pose>(const CompactRun<Pose>&);                                                    \
+  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, std::vector<Pose>, BatchOptions); \
+  template class LoopJury<Pose>;
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

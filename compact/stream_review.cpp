@@ -295,29 +295,37 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
     if (is_other) out.scale = out.information.scale;
   }
   scaled = ScaleInformation(measured.graph, out.scale);
+  BatchOptions judged;
+  judged.robust = ForScale(settings, out.scale).solver.robust;
+  const bool may_judge = !look.is_early && judged.robust.kernel == RobustKernel::kGnc;
+  const auto judge = [&] {  // true: others are left out
+    std::vector<char> is_wrong(out.events.size());
+    for (const FactorId id : ContradictedLoops(scaled, ValuesFor(measured, look.trajectory), judged)) {
+      const auto k = static_cast<std::size_t>(id.value);
+      is_wrong[measured.event_of[k]] = measured.opens[k] == 0;
+    }
+    bool are_others = false;
+    for (std::size_t k = 0; k < is_wrong.size(); ++k) {
+      are_others = are_others || out.events[k].is_left_out != (is_wrong[k] != 0);
+      out.events[k].is_left_out = is_wrong[k] != 0;
+    }
+    return are_others;
+  };
+  if (may_judge && !WhyLoopsAreInDoubt(scaled).empty()) {
+    is_other = judge() || is_other;
+    look.is_in_doubt = false;
+  }
   if (choose() || is_other) {
     make_again();
     long loops = 0;
     for (std::size_t k = 0; k < measured.opens.size(); ++k) {
-      loops += measured.opens[k] == 0 && IsEdge(out.events[measured.event_of[k]]);
+      const StreamEvent<Pose>& event = out.events[measured.event_of[k]];
+      loops += measured.opens[k] == 0 && IsEdge(event) && !event.is_left_out;
     }
     look.is_in_doubt = look.is_in_doubt || AreLoopsInDoubt(out.remade->refused, loops);
     look.trajectory = out.remade->slam->Trajectory();
   }
-  BatchOptions judged;
-  judged.robust = ForScale(settings, out.scale).solver.robust;
-  if (look.is_early || !look.is_in_doubt || judged.robust.kernel != RobustKernel::kGnc) return out;
-  std::vector<char> is_wrong(out.events.size());
-  for (const FactorId id : ContradictedLoops(scaled, ValuesFor(measured, look.trajectory), judged)) {
-    const auto k = static_cast<std::size_t>(id.value);
-    is_wrong[measured.event_of[k]] = measured.opens[k] == 0;
-  }
-  is_other = false;
-  for (std::size_t k = 0; k < is_wrong.size(); ++k) {
-    is_other = is_other || out.events[k].is_left_out != (is_wrong[k] != 0);
-    out.events[k].is_left_out = is_wrong[k] != 0;
-  }
-  if (is_other) {
+  if (may_judge && look.is_in_doubt && judge()) {
     choose();
     make_again();
   }

@@ -163,5 +163,32 @@ TEST(CompactWrongLoops, HalfOfThemWrongUnderCautiousCovariances) {
   EXPECT_TRUE(CompactGraph(MakeCity(503).graph).loops_left_out.empty()) << "nothing is in doubt there";
 }
 
+// Half of them random: no other bears them out, and they are judged before there is a map, which is made once.
+TEST(CompactWrongLoops, SuspectOnesAreJudgedBeforeThereIsAMap) {
+  const Drive drive = MakeCity(504);
+  const auto poses = static_cast<long>(drive.graph.Poses().size());
+  for (const double percent : {0.0, 100.0}) {
+    const auto with = AddWrongLoops(drive.graph, drive.truth, percent, 504, OutlierKind::kRandom);
+    long steps = 0;
+    const auto run =
+        CompactGraph<SE2>(with.graph, Strategy::kBounded, [&](const auto&, const auto&, double) { ++steps; });
+    EXPECT_EQ(steps, poses) << percent;
+    const auto is_wrong = [&](FactorId id) { return std::count(with.wrong.begin(), with.wrong.end(), id) > 0; };
+    const auto& out = run.loops_left_out;
+    EXPECT_GE(std::count_if(out.begin(), out.end(), is_wrong), 0.98 * static_cast<double>(with.wrong.size()))
+        << percent;
+    EXPECT_LE(static_cast<double>(out.size()), 1.02 * static_cast<double>(with.wrong.size())) << percent;
+    LoopJury<SE2> jury(with.graph, {RobustKernel::kGnc});
+    std::string why;
+    jury.on_judging = [&](const std::string& reason) { why = reason; };
+    EXPECT_EQ(jury.JudgeAtFirst(), percent > 0);
+    EXPECT_EQ(why.empty(), percent == 0) << why;
+    EXPECT_FALSE(jury.JudgeBy(run)) << "its map refuses none to speak of";
+    EXPECT_EQ(jury.Remaining().Factors().size(), with.graph.Factors().size() - jury.LeftOut().size());
+    LoopJury<SE2> without_kernel(with.graph, RobustOptions());
+    EXPECT_FALSE(without_kernel.JudgeAtFirst());
+  }
+}
+
 }  // namespace
 }  // namespace terse

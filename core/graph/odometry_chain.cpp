@@ -80,12 +80,20 @@ std::optional<CycleError<Pose>> CycleOf(const ForwardEdge<Pose>& first, const Fo
                               Turned(along.Inverse(), odometry.CovarianceOf(b.first, a.first))};
 }
 
+template <class Pose>
+std::optional<CycleError<Pose>> CycleOf(const ForwardEdge<Pose>& loop, const OdometryChain<Pose>& odometry) {
+  if (!odometry.Joins(loop.first, loop.last)) return std::nullopt;
+  return CycleError<Pose>{(loop.T_first_last.Inverse() * odometry.Way(loop.first, loop.last)).Log(),
+                          loop.covariance + odometry.CovarianceOf(loop.first, loop.last)};
+}
+
 #define TERSE_INSTANTIATE(Pose)                                                                              \
   template ForwardEdge<Pose> Forward<Pose>(std::size_t, int, int, const RelativePoseFactor<Pose>&);          \
   template class OdometryChain<Pose>;                                                                        \
   template struct CycleError<Pose>;                                                                          \
   template std::optional<CycleError<Pose>> CycleOf<Pose>(const ForwardEdge<Pose>&, const ForwardEdge<Pose>&, \
-                                                         const OdometryChain<Pose>&);
+                                                         const OdometryChain<Pose>&);                        \
+  template std::optional<CycleError<Pose>> CycleOf<Pose>(const ForwardEdge<Pose>&, const OdometryChain<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

@@ -1,6 +1,7 @@
 #include "terse/core/supported_loops.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <unordered_map>
@@ -22,6 +23,9 @@ using std::size_t;
 constexpr int kReach = 10;         // poses
 constexpr int kMostCompared = 32;  // neighbours of a loop
 constexpr double kQuantile = 0.999;
+// Of what is suspect: the share of the loops, how many others there are to compare with, squared errors over theirs.
+constexpr double kManyAlone = 0.1, kMostAlone = 1.0 / 3, kMuchWorse = 2.5;
+constexpr size_t kLeastOthers = 8;
 
 // Those that are edges between two poses, in order of their ids. Rank: a pose's place in order of arrival.
 template <class Pose>
@@ -29,6 +33,12 @@ struct Loops {
   std::vector<FactorId> ids;
   std::vector<ForwardEdge<Pose>> edges;
 };
+
+double Median(std::vector<double>& values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
 
 template <class Pose>
 class Support {
@@ -92,6 +102,11 @@ class Support {
 
 template <class Pose>
 std::vector<FactorId> UnsupportedLoops(const PoseGraph<Pose>& graph) {
+  return FindSupport(graph).unsupported;
+}
+
+template <class Pose>
+LoopSupport FindSupport(const PoseGraph<Pose>& graph) {
   std::vector<int> rank(graph.Poses().size());
   int next = 0;
   for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
@@ -114,15 +129,26 @@ std::vector<FactorId> UnsupportedLoops(const PoseGraph<Pose>& graph) {
   }
   const OdometryChain<Pose> odometry(steps, rank.size());
   Support<Pose> support(loops, odometry);
-  std::vector<FactorId> out;
+  LoopSupport out;
+  out.loops = candidates.size();
+  std::vector<double> alone, others;  // squared errors
   for (size_t k = 0; k < loops.ids.size(); ++k) {
-    if (!support.Find(k)) out.push_back(loops.ids[k]);
+    const bool is_supported = support.Find(k);
+    if (!is_supported) out.unsupported.push_back(loops.ids[k]);
+    const auto cycle = CycleOf(loops.edges[k], odometry);
+    if (cycle) (is_supported ? others : alone).push_back(cycle->Squared());
   }
-  std::sort(out.begin(), out.end());
+  std::sort(out.unsupported.begin(), out.unsupported.end());
+  const double share =
+      static_cast<double>(out.unsupported.size()) / static_cast<double>(std::max<size_t>(1, out.loops));
+  out.are_suspect = share > kManyAlone && others.size() >= kLeastOthers && !alone.empty() &&
+                    (share > kMostAlone || Median(alone) > kMuchWorse * Median(others));
   return out;
 }
 
 template std::vector<FactorId> UnsupportedLoops<SE2>(const PoseGraph<SE2>&);
 template std::vector<FactorId> UnsupportedLoops<SE3>(const PoseGraph<SE3>&);
+template LoopSupport FindSupport<SE2>(const PoseGraph<SE2>&);
+template LoopSupport FindSupport<SE3>(const PoseGraph<SE3>&);
 
 }  // namespace terse::internal

@@ -19,8 +19,6 @@ using std::size_t;
 
 // Between two looks at whether the caller wants to go on.
 constexpr int kStepsBetweenProgress = 100;
-// Of the loops: where more have no support, it is not only chance that true ones stand alone, which up to 8 % do.
-constexpr double kManyAlone = 0.1;
 // Of the squared width: a loop whose innovation is larger is wrong. What is out within that may as well be the tail of
 // true ones, as long as it is no more than this share of what is in.
 constexpr double kByFar = 10, kTail = 0.01;
@@ -34,9 +32,9 @@ class Selector {
       : graph_(graph), options_(options), is_stopped_(is_stopped), loops_(LoopFactors(graph)) {}
 
   std::optional<Selection> SelectBorneOut() {
-    alone_ = UnsupportedLoops(graph_);
-    const bool are_many = static_cast<double>(alone_.size()) > kManyAlone * static_cast<double>(loops_.size());
-    if (!are_many || alone_.size() == loops_.size()) return std::nullopt;
+    LoopSupport support = FindSupport(graph_);
+    if (!support.are_suspect) return std::nullopt;
+    alone_ = std::move(support.unsupported);
     std::optional<Selection> first = Replayed(WithoutFactors(graph_, alone_));
     if (!first) return std::nullopt;
     const Verdict verdict = Judge(*first);

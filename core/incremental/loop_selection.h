@@ -22,10 +22,10 @@ template <class Pose>
 std::optional<LoopSelection<Pose>> SelectByReplay(const PoseGraph<Pose>& graph, const BatchOptions& options,
                                                   bool& is_stopped);
 
-// The same where more than one loop in ten has no other that bears it out (supported_loops.h), nothing elsewhere. Those
-// that others bear out come first: few of them are wrong, so that little bends the map and the factor stays sparse. If
-// some of the rest could still be true, all but those without support that this map contradicts by far are replayed
-// once more, and the lower cost wins. Nothing, too, if most of what it explains stands alone.
+// The same where loops that no other bears out are suspect (supported_loops.h), nothing elsewhere. Those that others
+// bear out come first: few of them are wrong, so that little bends the map and the factor stays sparse. If some of the
+// rest could still be true, all but those without support that this map contradicts by far are replayed once more, and
+// the lower cost wins. Nothing, too, if most of what it explains stands alone.
 template <class Pose>
 std::optional<LoopSelection<Pose>> SelectBorneOut(const PoseGraph<Pose>& graph, const BatchOptions& options,
                                                   bool& is_stopped);

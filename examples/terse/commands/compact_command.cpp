@@ -255,35 +255,75 @@ Attempt<Pose> RunOnce(const PoseGraph<Pose>& graph, GraphReplay<Pose>& replay, c
   return {std::move(run), std::move(recorder), std::move(sample), links_before};
 }
 
-// Takes the loops out of the graph that gnc leaves out of the whole, and says which.
+// Of stats.json: what was judged, and why; nothing if nothing was.
 template <class Pose>
-nlohmann::ordered_json JudgeLoops(PoseGraph<Pose>& graph, const CompactRun<Pose>& run,
-                                  const CompactCommandOptions& options) {
+nlohmann::ordered_json ToJson(const LoopJury<Pose>& jury, const PoseGraph<Pose>& graph,
+                              const std::vector<std::string>& reasons, double seconds) {
+  if (reasons.empty()) return nullptr;
+  nlohmann::ordered_json report = {{"loops", LoopFactors(graph).size()},
+                                   {"reasons", reasons},
+                                   {"left_out", jury.LeftOut().size()},
+                                   {"seconds", seconds},
+                                   {"links", nlohmann::ordered_json::array()}};
+  for (const FactorId id : jury.LeftOut()) {
+    const FactorPoses ends = PosesOf(graph.FindFactor(id)->factor);
+    report["links"].push_back({{"from", ends.first.value}, {"to", ends.second.value}});
+  }
+  return report;
+}
+
+template <class Pose>
+GraphReplay<Pose> ReplayOf(const PoseGraph<Pose>& graph, const std::vector<PoseId>& seen) {
+  return seen.empty() ? GraphReplay<Pose>(graph) : GraphReplay<Pose>(graph, seen);
+}
+
+// The map of the loops that are not judged wrong.
+template <class Pose>
+struct Judged {
+  std::optional<Attempt<Pose>> attempt;
+  std::optional<PoseGraph<Pose>> graph;  // that it is of, if loops are left out
+  nlohmann::ordered_json report;         // of stats.json
+};
+
+// `seen`: poses of the map that the run goes on with, which stays as it is: nothing is judged.
+template <class Pose>
+Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const CompactMap<Pose>& before, const std::vector<PoseId>& seen,
+                       const CompactCommandOptions& options, const TruePoses* known) {
   Progress progress("judging loops, iterations", 0, options.quiet);
-  progress.Say(
-      "terse: note: " + options.path + ": " + std::to_string(run.links_refused) + " of " +
-      std::to_string(run.links_offered) +
-      " loops contradict the map: all are judged together, and the map is made again without those that are wrong "
-      "then");
   BatchOptions batch;
   batch.log = options.log;
   batch.progress = [&](int iteration, double) {
     progress.Update(iteration);
     return true;
   };
-  const double before = SecondsNow();
-  const std::vector<FactorId> left_out = ContradictedLoops(graph, run, batch);
-  nlohmann::ordered_json report = {{"loops", LoopFactors(graph).size()},
-                                   {"refused_by_first_map", run.links_refused},
-                                   {"left_out", left_out.size()},
-                                   {"seconds", SecondsNow() - before},
-                                   {"links", nlohmann::ordered_json::array()}};
-  for (const FactorId id : left_out) {
-    const FactorPoses ends = PosesOf(graph.FindFactor(id)->factor);
-    report["links"].push_back({{"from", ends.first.value}, {"to", ends.second.value}});
-  }
-  graph = WithoutFactors(std::move(graph), left_out);
-  return report;
+  RobustOptions robust = options.robust.options;
+  robust.kernel = seen.empty() ? options.robust.Kernel(*options.strategy) : RobustKernel::kNone;
+  LoopJury<Pose> jury(graph, robust, batch);
+  std::vector<std::string> reasons;
+  jury.on_judging = [&](const std::string& why) {
+    reasons.push_back(why);
+    progress.Say("terse: note: " + options.path + ": " + why +
+                 ": all are judged together, and the map is made without those that are wrong then");
+  };
+  double seconds = 0;
+  const auto timed = [&](auto&& judge) {
+    const double before = SecondsNow();
+    const bool is_other = judge();
+    seconds += SecondsNow() - before;
+    return is_other;
+  };
+  Judged<Pose> out;
+  const auto run_once = [&] {
+    out.attempt.reset();
+    GraphReplay<Pose> replay = ReplayOf(jury.Remaining(), seen);
+    out.attempt.emplace(RunOnce(jury.Remaining(), replay, before, options, known));
+  };
+  timed([&] { return jury.JudgeAtFirst(); });
+  run_once();
+  if (timed([&] { return jury.JudgeBy(out.attempt->run); })) run_once();
+  if (!jury.LeftOut().empty()) out.graph = jury.Remaining();
+  out.report = ToJson(jury, graph, reasons, seconds);
+  return out;
 }
 
 template <class Pose>
@@ -293,35 +333,29 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   if (!calibrated.scale.IsOne() && options.innovation_quantile == kInnovationQuantile) {
     options.innovation_quantile = kInnovationQuantileOfScaled;
   }
-  PoseGraph<Pose>& graph = calibrated.graph;
   std::vector<PoseId> seen;
   for (const auto& pose : before.map.poses) seen.push_back(pose.id);
-  GraphReplay<Pose> replay = seen.empty() ? GraphReplay<Pose>(graph) : GraphReplay<Pose>(graph, seen);
-  if (!seen.empty() && replay.Inputs().empty() && !options.quiet) {
-    std::cerr << "terse: warning: all poses of " << options.path << " are in " << options.continued
-              << " already: the map stays as it is\n";
-  }
-  // Before the long run, not after it: the trajectory has ids for stamps.
-  for (const auto& input : replay.Inputs()) RequireStampId(input.id);
-  const auto truth = ReadTruthOfAll(before.map, replay, options.ground_truth);
-  const TruePoses* known = truth ? &*truth : nullptr;
-  auto attempt = std::make_unique<Attempt<Pose>>(RunOnce(graph, replay, before.map, options, known));
-  nlohmann::ordered_json judged;
-  const bool may_judge = seen.empty() && options.robust.Kernel(*options.strategy) == RobustKernel::kGnc;
-  if (may_judge && AreLoopsInDoubt(attempt->run)) {
-    judged = JudgeLoops(graph, attempt->run, options);
-    if (!judged["links"].empty()) {
-      attempt.reset();
-      replay = GraphReplay<Pose>(graph);
-      attempt = std::make_unique<Attempt<Pose>>(RunOnce(graph, replay, before.map, options, known));
+  std::optional<TruePoses> truth;
+  {
+    const GraphReplay<Pose> replay = ReplayOf(calibrated.graph, seen);
+    if (!seen.empty() && replay.Inputs().empty() && !options.quiet) {
+      std::cerr << "terse: warning: all poses of " << options.path << " are in " << options.continued
+                << " already: the map stays as it is\n";
     }
+    // Before the long run, not after it: the trajectory has ids for stamps.
+    for (const auto& input : replay.Inputs()) RequireStampId(input.id);
+    truth = ReadTruthOfAll(before.map, replay, options.ground_truth);
   }
+  const TruePoses* known = truth ? &*truth : nullptr;
+  Judged<Pose> judged = RunJudged(calibrated.graph, before.map, seen, options, known);
+  auto& attempt = judged.attempt;
+  const PoseGraph<Pose>& graph = judged.graph ? *judged.graph : calibrated.graph;
   CompactRun<Pose>& run = attempt->run;
   if (options.retire) RetireFrom(run, *options.retire);
   const RunTrajectories trajectories = MakeRunTrajectories(run.slam, options.recovery, known);
   Stats stats = MakeStats(graph, run, EvaluateRun(trajectories, Pose::kDim));
   stats.more["information"] = calibrated.report;
-  if (!judged.is_null()) stats.more["loops_judged"] = judged;
+  if (!judged.report.is_null()) stats.more["loops_judged"] = judged.report;
   if (!attempt->sample.is_null()) stats.more["sample"] = attempt->sample;
   if (!seen.empty()) {
     stats.more["continued"] = {{"poses", seen.size()}, {"links_kept", attempt->links_before}};

@@ -88,18 +88,18 @@ class MethodRun {
     const InformationScale scale = CalibrateInformation(with_.graph).scale;
     if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
     options.solver.robust = MapRobust(Robust(), options);
-    PoseGraph<Pose> scaled = scale.IsOne() ? with_.graph : ScaleInformation(with_.graph, scale);
-    SampleThresholds(scaled, options);
-    CompactRun<Pose> run = CompactGraph(scaled, options, watch);
-    if (method_.kernel != RobustKernel::kGnc || !AreLoopsInDoubt(run)) return run;
     BatchOptions batch;
     batch.progress = [this](int, double) { return !limit_.IsOver(); };
-    const std::vector<FactorId> left_out = ContradictedLoops(scaled, run, batch);
-    limit_.Check();
-    if (left_out.empty()) return run;
-    scaled = WithoutFactors(std::move(scaled), left_out);
-    SampleThresholds(scaled, options);
-    return CompactGraph(scaled, options, watch);
+    const PoseGraph<Pose> scaled = ScaleInformation(with_.graph, scale);
+    LoopJury<Pose> jury(scaled, options.solver.robust, batch);
+    const auto run_once = [&] {
+      limit_.Check();
+      SampleThresholds(jury.Remaining(), options);
+      return CompactGraph(jury.Remaining(), options, watch);
+    };
+    jury.JudgeAtFirst();
+    CompactRun<Pose> run = run_once();
+    return jury.JudgeBy(run) ? run_once() : std::move(run);
   }
 
   void Compact() {

@@ -70,9 +70,10 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, const CompactOptions
                               const AfterStep<Pose>& after_step = nullptr);
 // With thresholds from a sample of the graph (SampleThresholds), the strategy's kernel, all else as CompactOptions has
 // it, and as the command does: information that nobody estimated and that the residuals contradict is scaled first
-// (CalibrateInformation), of which CompactRun::information_scale tells. Where the map refuses many links and the
-// strategy has kGnc, all are judged at the optimum of the whole and the map is made anew (contradicted_loops.h), so
-// that `after_step` hears of every pose twice. With the options above nothing of this happens.
+// (CalibrateInformation), of which CompactRun::information_scale tells. Where many loops stand alone and the strategy
+// has kGnc, all are judged before there is a map; where the map refuses many they are judged by it, and it is made
+// anew, so that `after_step` hears of every pose twice (LoopJury, contradicted_loops.h). With the options above nothing
+// of this happens.
 template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy = Strategy::kBounded,
                               const AfterStep<Pose>& after_step = nullptr);

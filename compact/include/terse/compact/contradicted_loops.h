@@ -3,9 +3,12 @@
 //
 // A map that grows hears of a loop once, when it comes, and what it refuses is no evidence for anything later. Where
 // many loops are wrong, an early one that nothing contradicts yet bends the map, and true ones are refused for it. A
-// file has all its loops at once: where a first map refuses many, all are judged by gnc (batch_solver.h), and those
-// that it contradicts never come to the map that is made then.
+// file has all its loops at once: where many have no other that bears them out, or a first map refuses many, all are
+// judged by gnc (batch_solver.h), and those that it contradicts never come to the map that is made then.
 
+#include <functional>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include "terse/compact/compact_graph.h"
@@ -20,23 +23,54 @@ bool AreLoopsInDoubt(long refused, long offered);
 template <class Pose>
 bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 
+// Before there is a map: fifty loops, and more than one in ten, have no other that bears them out (two that agree over
+// the odometry between their ends). None of the public graphs without wrong loops has so many (but sphere_bignoise). In
+// words; "" if not so.
+template <class Pose>
+std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph);
+
 // Loops that the best explanation of all of them contradicts by far, ascending: with more than ten times the chi2 at
 // which the kernel leaves a loop out. What is nearer the map judges for itself; slips of the odometry are not among
 // them. Explanations are, in this order: the optimum of all loops next to that by gnc of odometry and of the loops that
-// others near them bear out (two that agree over the odometry between their ends), which leaves few wrong ones in and
-// the factor sparse; the optimum next to the first map; and, where true loops stand alone, that of the whole by gnc. A
+// others near them bear out, which leaves few wrong ones in and
+// the factor sparse; the optimum next to `first`; and, where true loops stand alone, that of the whole by gnc. A
 // later one has to contradict no more loops than the best before it, and to have less chi2, of a loop no more than one
 // true one in a hundred exceeds, or to explain one loop in twenty more. Of up to 500 loops, that of the
 // whole by a kernel twice as wide is a last one, which has to do the latter at less chi2 as that kernel has it.
-// `first`: a run over this graph, with kGnc (CompactOptions::solver.robust), which is the kernel here too;
-// options.robust is not looked at. Throws std::invalid_argument as SolveBatch does.
-template <class Pose>
-std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const CompactRun<Pose>& first,
-                                        BatchOptions options = {});
-
-// The same next to any values by pose index in place of the first map's, or to none, with the kernel of options.robust
-// (kGnc), whose quantile is not looked at.
+// `first`: values by pose index, such as those of a first map, or none. `options.robust`: of the map's solver, with
+// kGnc; its quantile is not looked at. Throws std::invalid_argument as SolveBatch does.
 template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options);
+
+// What of a graph a map is made of.
+//
+//     LoopJury<SE3> jury(graph, options.solver.robust);
+//     jury.JudgeAtFirst();
+//     auto run = CompactGraph(jury.Remaining(), options);
+//     if (jury.JudgeBy(run)) run = CompactGraph(jury.Remaining(), options);
+template <class Pose>
+class LoopJury {
+ public:
+  // `graph` is to outlive it. `robust`: of the map's solver; without kGnc there is nothing to judge. `options`: of the
+  // solves.
+  LoopJury(const PoseGraph<Pose>& graph, const RobustOptions& robust, BatchOptions options = {});
+  // Told why, before loops are judged.
+  std::function<void(const std::string& why)> on_judging;
+
+  // Before there is a map, if loops are in doubt. True if some are left out now.
+  bool JudgeAtFirst();
+  // By a map of what remains, if its loops are in doubt. True if others are left out now, so that it is to be made
+  // anew.
+  bool JudgeBy(const CompactRun<Pose>& run);
+  const std::vector<FactorId>& LeftOut() const { return left_out_; }  // ascending
+  const PoseGraph<Pose>& Remaining() const { return remaining_ ? *remaining_ : graph_; }
+
+ private:
+  bool Judge(const std::string& why, std::vector<Pose> first);
+  const PoseGraph<Pose>& graph_;
+  BatchOptions options_;
+  std::vector<FactorId> left_out_;
+  std::optional<PoseGraph<Pose>> remaining_;  // if some are left out
+};
 
 }  // namespace terse

@@ -45,9 +45,9 @@ struct BatchOptions {
   std::optional<std::vector<FactorId>> robust_factors;
   // kGnc: false if the initial values are good and only the loops that they contradict are to be left out. Else the
   // loops are told apart by a replay in order of arrival, as IncrementalSolver does it, whatever the initial values:
-  // where more than one in ten has no other that agrees with it over a short way, those that have come first. Where a
-  // replay is not possible, or robust_factors says which they are, by graduation from the initial values. Up to 500
-  // loops by both, the lower cost wins.
+  // where many have no other that agrees with them over a short way, the others come first. Where a replay is not
+  // possible, or robust_factors says which they are, by graduation from the initial values. Up to 500 loops by both,
+  // the lower cost wins.
   bool graduate = true;
   LogSink log;  // log.h
 };

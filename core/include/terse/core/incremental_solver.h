@@ -52,10 +52,10 @@ class IncrementalSolver {
 
   // Iterates to the batch optimum, which becomes the linearisation point; where the system turns out not to be positive
   // definite, nothing changes. The result's poses are in the order of Graph().Poses(). The kernel and the loops are
-  // this solver's, whatever `options` says, the log unless it has its own. kGnc starts from the loops that are in;
-  // where more than one in four is out, all are told apart anew besides, as SolveBatch does it, and the lower cost wins
-  // (BatchOptions::graduate; false: not so). Where a chordal relaxation of the graph costs less than the estimate, it
-  // starts from there (IncrementalOptions::restart).
+  // this solver's, whatever `options` says, the log unless it has its own. kGnc starts from the loops that are in.
+  // Where more than one in twenty is out, and many have no other that bears them out, all are told apart anew besides,
+  // those first that others do, and the lower cost wins (BatchOptions::graduate; false: not so). Where a chordal
+  // relaxation of the graph costs less than the estimate, it starts from there (IncrementalOptions::restart).
   BatchResult<Pose> Finish(const BatchOptions& options = {});
   // From these values and no others, by pose index.
   BatchResult<Pose> FinishFrom(const std::vector<Pose>& T_world_body, const BatchOptions& options = {});

@@ -59,4 +59,8 @@ template <class Pose>
 std::optional<CycleError<Pose>> CycleOf(const ForwardEdge<Pose>& first, const ForwardEdge<Pose>& second,
                                         const OdometryChain<Pose>& odometry);
 
+// Of the odometry between the ends of one loop with it.
+template <class Pose>
+std::optional<CycleError<Pose>> CycleOf(const ForwardEdge<Pose>& loop, const OdometryChain<Pose>& odometry);
+
 }  // namespace terse::internal
