@@ -16,6 +16,8 @@ namespace {
 
 constexpr int kLeastRefused = 3;
 constexpr std::size_t kLeastAlone = 50;
+// Where loops are rarer, a first map is one explanation more, and costs little.
+constexpr std::size_t kPosesPerLoop = 4;
 constexpr double kDoubtfulShare = 0.01;
 // Of chi2, times the square of the width. Wrong loops, local ones too, are farther off in 999 of 1000 cases, true ones
 // seldom: none to two in a hundred on most graphs, three on manhattan.
@@ -161,7 +163,9 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
 template <class Pose>
 std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph) {
   const internal::LoopSupport support = internal::FindSupport(graph);
+  const std::size_t others = support.loops - support.unsupported.size();
   if (!support.are_suspect || support.unsupported.size() < kLeastAlone) return "";
+  if (others * kPosesPerLoop < graph.Poses().size()) return "";
   return std::to_string(support.unsupported.size()) + " of " + std::to_string(support.loops) +
          " loops have no other that bears them out";
 }
