@@ -123,5 +123,21 @@ TEST(LoopSelectionAtTheEnd, FinishHealsTheMap) {
   EXPECT_NEAR(solver.RobustChi2(), finished.robust_cost, 1e-6 * finished.robust_cost);
 }
 
+// Nothing can be replayed where a prior alone holds a pose; half of the loops are out all the same.
+TEST(LoopSelectionAtTheEnd, APoseThatOnlyAPriorHolds) {
+  const auto [graph, truth] = testing::MakeScene<SE2>(Scene::kManhattan, 150, 11);
+  const auto with = AddWrongLoops(graph, truth, 100, 11, OutlierKind::kRandom);
+  IncrementalOptions options;
+  options.robust.kernel = RobustKernel::kGnc;
+  IncrementalSolver<SE2> solver(options);
+  Replay<SE2>(with.graph, ReplayOptions(), solver, [](const ReplayStep&) { return true; });
+  GraphUpdate<SE2> update;
+  update.poses.push_back({PoseId{9000}, SE2()});
+  update.factors.push_back(PosePriorFactor<SE2>{PoseId{9000}, SE2(), Matrix<3, 3>::Identity()});
+  update.factors.push_back(PosePriorFactor<SE2>{graph.Poses().front().id, SE2(), Matrix<3, 3>::Identity()});
+  solver.Update(update);
+  EXPECT_TRUE(solver.Finish().Converged());
+}
+
 }  // namespace
 }  // namespace terse

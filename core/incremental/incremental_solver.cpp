@@ -351,6 +351,7 @@ std::optional<BatchResult<Pose>> IncrementalSolver<Pose>::Parts::SelectAnew(cons
                                                                             const BatchOptions& given,
                                                                             const IncrementalOptions& options) const {
   const PoseGraph<Pose>& graph = map.Graph();
+  if (!internal::IsConnected(graph)) return std::nullopt;
   const std::vector<FactorId> loops = LoopFactors(graph);
   const auto out = std::count(finished.weights.begin(), finished.weights.end(), 0.0);
   if (static_cast<double>(out) <= kManyOut * static_cast<double>(loops.size())) return std::nullopt;
@@ -370,7 +371,9 @@ std::optional<BatchResult<Pose>> IncrementalSolver<Pose>::Parts::SelectAnew(cons
   anew.graduate = false;
   anew.robust.width = width;
   anew.robust_factors = selected->robust_factors;
-  return SolveBatch(graph, selected->T_world_body, anew);
+  BatchResult<Pose> result = SolveBatch(graph, selected->T_world_body, anew);
+  if (result.termination == Termination::kNotPositiveDefinite) return std::nullopt;
+  return result;
 }
 
 template <class Pose>

@@ -7,6 +7,7 @@
 
 #include "incremental/judged_loop.h"
 #include "terse/core/at.h"
+#include "terse/core/disjoint_sets.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
 #include "terse/core/replay.h"
@@ -37,7 +38,9 @@ class Selector {
     alone_ = std::move(support.unsupported);
     std::optional<Selection> first = Replayed(WithoutFactors(graph_, alone_));
     if (!first) return std::nullopt;
-    const Verdict verdict = Judge(*first);
+    const std::optional<Verdict> judged = Judge(*first);
+    if (!judged) return std::nullopt;
+    const Verdict& verdict = *judged;
     Log(options_.log, LogLevel::kInfo, "batch: ", alone_.size(), " of ", loops_.size(), " loops have no support; the ",
         "others explain ", verdict.explained, ", contradict ", verdict.wrong.size(), " of those, leave ", verdict.open,
         " open");
@@ -90,13 +93,15 @@ class Selector {
     return std::nullopt;
   }
 
-  // All loops, next to a selection, which comes to the optimum of those that are believed there.
-  Verdict Judge(Selection& selection) const {
+  // All loops, next to a selection, which comes to the optimum of those that are believed there; nothing if there is
+  // none.
+  std::optional<Verdict> Judge(Selection& selection) const {
     BatchOptions next_to = options_;
     next_to.graduate = false;
     next_to.robust.width = selection.width;
     next_to.robust_factors = selection.robust_factors;
     const BatchResult<Pose> solved = SolveBatch(graph_, selection.T_world_body, next_to);
+    if (solved.cholesky.Variables() == 0) return std::nullopt;  // singular
     selection.T_world_body = solved.T_world_body;
     Verdict out;
     const double by_far = kByFar * selection.width * selection.width;
@@ -146,6 +151,17 @@ class Selector {
 }  // namespace
 
 template <class Pose>
+bool IsConnected(const PoseGraph<Pose>& graph) {
+  DisjointSets sets(graph.Poses().size());
+  size_t joins = 0;
+  for (const auto& node : graph.Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    joins += ends.count == 2 && sets.Join(At(graph.IndexOf(ends.first)), At(graph.IndexOf(ends.second)));
+  }
+  return joins + 1 >= graph.Poses().size();
+}
+
+template <class Pose>
 std::optional<LoopSelection<Pose>> SelectByReplay(const PoseGraph<Pose>& graph, const BatchOptions& options,
                                                   bool& is_stopped) {
   return Selector<Pose>(graph, options, is_stopped).Select();
@@ -175,6 +191,7 @@ double TruncatedCost(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_wo
                                                                    bool&);                                            \
   template std::optional<LoopSelection<Pose>> SelectBorneOut<Pose>(const PoseGraph<Pose>&, const BatchOptions&,       \
                                                                    bool&);                                            \
+  template bool IsConnected<Pose>(const PoseGraph<Pose>&);                                                            \
   template double TruncatedCost<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, const std::vector<FactorId>&, \
                                       double);
 TERSE_INSTANTIATE(SE2)

@@ -22,6 +22,10 @@ template <class Pose>
 std::optional<LoopSelection<Pose>> SelectByReplay(const PoseGraph<Pose>& graph, const BatchOptions& options,
                                                   bool& is_stopped);
 
+// Relative factors join all poses: what a replay takes.
+template <class Pose>
+bool IsConnected(const PoseGraph<Pose>& graph);
+
 // The same where loops that no other bears out are suspect (supported_loops.h), nothing elsewhere. Those that others
 // bear out come first: few of them are wrong, so that little bends the map and the factor stays sparse. If some of the
 // rest could still be true, all but those without support that this map contradicts by far are replayed once more, and
