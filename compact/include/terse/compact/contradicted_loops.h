@@ -33,13 +33,13 @@ std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph);
 // Loops that the best explanation of all of them contradicts by far, ascending: with more than ten times the chi2 at
 // which the kernel leaves a loop out. What is nearer the map judges for itself; slips of the odometry are not among
 // them. Explanations are, in this order: the optimum of all loops next to that by gnc of odometry and of the loops that
-// others near them bear out, which leaves few wrong ones in and
-// the factor sparse; the optimum next to `first`; and, where true loops stand alone, that of the whole by gnc. A
-// later one has to contradict no more loops than the best before it, and to have less chi2, of a loop no more than one
-// true one in a hundred exceeds, or to explain one loop in twenty more. Of up to 500 loops, that of the
-// whole by a kernel twice as wide is a last one, which has to do the latter at less chi2 as that kernel has it.
-// `first`: values by pose index, such as those of a first map, or none. `options.robust`: of the map's solver, with
-// kGnc; its quantile is not looked at. Throws std::invalid_argument as SolveBatch does.
+// others near them bear out, which leaves few wrong ones in and the factor sparse; the optimum next to `first`; and,
+// where true loops stand alone, that of the whole by gnc. A later one has to contradict no more loops than the best
+// before it, and to have less chi2, of a loop no more than one true one in a hundred exceeds, or to explain one loop in
+// twenty more. Of up to 500 loops, that of the whole by a kernel twice as wide is a last one, which has to do the
+// latter at less chi2 as that kernel has it. `first`: values by pose index, such as those of a first map, or none.
+// `options.robust`: of the map's solver, with kGnc; its quantile is not looked at. Throws std::invalid_argument as
+// SolveBatch does.
 template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options);
 
