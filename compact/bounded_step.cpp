@@ -6,6 +6,7 @@
 
 #include "loop_closing.h"
 #include "terse/compact/information.h"
+#include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
@@ -21,11 +22,6 @@ constexpr int kMostPairs = 2;
 // small as it is each time, the map comes apart into a tree (sphere2500, a loop per pose: 3.9 m off instead of 0.4).
 // Where there was another link to end the chain in an edge, as much may be lost as that edge would have had to tell.
 constexpr double kMostLost = 0.5;
-
-template <class Jacobian>
-double LogDeterminant(const Jacobian& covariance) {
-  return 2 * covariance.llt().matrixLLT().diagonal().array().log().sum();
-}
 
 // T_a_c as a measurement of the optimiser, from T_a_b and T_c_b.
 template <class Pose>

@@ -8,6 +8,7 @@
 #include <numeric>
 #include <tuple>
 
+#include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
 #include "terse/lie/se2.h"
@@ -18,11 +19,6 @@ namespace {
 
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
-
-template <class Matrix>
-double LogDeterminant(const Matrix& S) {
-  return 2 * S.llt().matrixLLT().diagonal().array().log().sum();
-}
 
 // The spanning tree of least total weight, by Kruskal's algorithm, that holds `must`.
 std::vector<std::pair<int, int>> SpanningTree(int nodes, std::vector<std::tuple<double, int, int>> weighted,

@@ -27,8 +27,6 @@ Band BandOf(const StatedInformation& stated) {
 
 // So many more loops agree than would if standard deviations were that much too small: the others are wrong.
 constexpr double kMoreAgree = 0.35;
-// So many loops agree with information that is not far too certain.
-constexpr double kManyAgree = 0.3;
 // The sample over this will do where the verdict does not depend on it.
 constexpr int kForReport = 4;
 
@@ -110,7 +108,7 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
   out.stated = DescribeInformation(graph);
   EstimateOptions sample = options;
   const bool may_be_scaled = out.stated.IsPlaceholder() || BandOf(out.stated).smaller > 0;
-  if (!may_be_scaled && internal::ShareOfAgreeingLoops(graph, options) >= kManyAgree) {
+  if (!may_be_scaled && internal::ShareOfAgreeingLoops(graph, options) >= internal::kManyAgree) {
     sample.sample_poses /= kForReport;
     sample.sample_loops /= kForReport;
   }

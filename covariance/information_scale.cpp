@@ -39,15 +39,13 @@ constexpr double kTolerance = 1e-4;   // relative, of chi2
 // Scales that moved by less keep the loops that are in as a start; logarithm.
 constexpr double kMovesLittle = 0.3;
 // Standard deviations that are stated too small by less may be left.
-constexpr double kLarger = 2;
-// So many loops agree with information that is right, where the others are wrong.
-constexpr double kManyAgree = 0.3;
+constexpr double kMayBeLeft = 2;
 // Over long ways odometry may be worse than over short cycles.
 constexpr double kFarLargerThanCycles = 2.5;
 constexpr double kRoomBesideCopies = 15;
 // Where so few loops close too few short cycles, smaller scales than the residuals' are tried in turn.
 constexpr long kLeastLoops = 4, kMostLoops = 200;
-constexpr std::array<double, 3> kSmaller = {1.0 / 4, 1.0 / 16, 1.0 / 64};
+constexpr std::array<double, 3> kTriedShares = {1.0 / 4, 1.0 / 16, 1.0 / 64};
 // Somebody's guess may be right but for one factor: these are tried too, up to what residuals say.
 constexpr std::array<double, 6> kOfStated = {64, 16, 4, 1.0 / 4, 1.0 / 16, 1.0 / 64};
 constexpr double kLeastRedundancy = 5;
@@ -175,12 +173,12 @@ class Estimator {
     }
     const bool bends = !cycles || over_cycles > kFarLargerThanCycles;
     std::optional<double> lowest;
-    if (over_stated > kLarger && (bends || out_.agreeing_loops > kManyAgree)) Try({1, 1}, best, lowest);
+    if (over_stated > kMayBeLeft && (bends || out_.agreeing_loops > internal::kManyAgree)) Try({1, 1}, best, lowest);
     if (!bends) return;
     if (cycles) Try(*cycles, best, lowest);
     const KindScale first = {best.found[0].estimate.sigma_factor, best.found[1].estimate.sigma_factor};
     if (!cycles && sample_.loops >= kLeastLoops && sample_.loops <= kMostLoops) {
-      for (const double share : kSmaller) {
+      for (const double share : kTriedShares) {
         const KindScale start = {share * first.translation, share * first.rotation};
         Try(start, best, lowest);
         if (IsBelowFloor(start)) break;  // all of these are the same

@@ -9,6 +9,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
 #include "terse/core/number_text.h"
+#include "terse/core/pose_numbers.h"
 
 namespace terse {
 namespace {
@@ -17,16 +18,8 @@ constexpr const char* kFormat = "terse-compact-graph-1";
 
 // Writing ---------------------------------------------------------------------------------------------------------
 
-void Append(const SE2& T, std::vector<double>& out) {
-  out.insert(out.end(), {T.Translation().x(), T.Translation().y(), T.Theta()});
-}
-void Append(const SE3& T, std::vector<double>& out) {
-  const Vector<3>& p = T.Translation();
-  const Quaternion& q = T.Rotation().Unit();
-  out.insert(out.end(), {p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w()});
-}
-
-std::string List(const std::vector<double>& numbers) {
+template <class Numbers>
+std::string List(const Numbers& numbers) {
   std::string out = "[";
   for (const double number : numbers) {
     if (!std::isfinite(number)) throw NumericalError("an estimate of the map is not finite");
@@ -38,9 +31,7 @@ std::string List(const std::vector<double>& numbers) {
 
 template <class Pose>
 std::string Numbers(const Pose& T) {
-  std::vector<double> numbers;
-  Append(T, numbers);
-  return List(numbers);
+  return List(internal::NumbersOf(T));
 }
 
 // The upper triangle, row by row.

@@ -28,9 +28,9 @@ std::unordered_map<std::int64_t, int> MapsOfPoses(const std::vector<MapToMerge<P
 }
 
 template <class Pose>
-class Reader {
+class LinkReader {
  public:
-  Reader(const std::string& path, const std::vector<MapToMerge<Pose>>& maps, const ReadOptions& options)
+  LinkReader(const std::string& path, const std::vector<MapToMerge<Pose>>& maps, const ReadOptions& options)
       : maps_(maps), path_(path), edges_(path, options), map_of_(MapsOfPoses(maps)) {
     poses_.resize(maps.size());
     for (std::size_t k = 0; k < maps.size(); ++k) {
@@ -136,7 +136,7 @@ template <class Pose>
 std::vector<MapLink<Pose>> ReadMapLinks(const std::string& path, const std::vector<MapToMerge<Pose>>& maps,
                                         const ReadOptions& options) {
   const TextFile file(path);
-  Reader<Pose> reader(path, maps, options);
+  LinkReader<Pose> reader(path, maps, options);
   std::vector<MapLink<Pose>> links;
   for (const TextLine& line : file.Lines()) links.push_back(reader.Read(line));
   return links;

@@ -77,7 +77,7 @@ std::optional<double> RangeIn(const nlohmann::json& thresholds) {
   return out;
 }
 
-// Of graph.json: what Reader asks for, a small part of it.
+// Of graph.json: what FolderReader asks for, a small part of it.
 const std::set<std::string>& KeysOfGraph() {
   static const std::set<std::string> keys = {"dimension", "poses", "id",          "kept",         "edges",
                                              "from",      "to",    "kind",        "factor",       "added_at",
@@ -85,9 +85,9 @@ const std::set<std::string>& KeysOfGraph() {
   return keys;
 }
 
-class Reader {
+class FolderReader {
  public:
-  Reader(RunFolder& run, const nlohmann::ordered_json& stats) : run_(run), stats_(stats) {}
+  FolderReader(RunFolder& run, const nlohmann::ordered_json& stats) : run_(run), stats_(stats) {}
 
   void ReadPoses(const nlohmann::json& graph) {
     const std::string path = run_.path + "/graph.json";
@@ -369,7 +369,7 @@ RunFolder ReadRunFolder(const std::string& path) {
   run.range_m = RangeIn(thresholds);
   const auto errors = stats.find("errors");
   if (errors != stats.end()) run.ate_m = NumberAt(*errors, "ate_m");
-  Reader reader(run, stats);
+  FolderReader reader(run, stats);
   WithJsonErrors(graph_path, 0, [&] { reader.ReadPoses(graph); });
   run.T_world_body = reader.ReadPosesFrom(path + "/trajectory.tum");
   reader.ReadDecisions(path + "/decisions.jsonl");

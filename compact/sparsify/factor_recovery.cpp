@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"
@@ -22,11 +23,6 @@ constexpr double kFloor = 1e-9;
 // The first ones only show which factors the tree needs most besides.
 constexpr int kMostSweeps = 30, kFirstSweeps = 2;
 constexpr double kLeastFall = 3e-2, kLeastFallNats = 1e-7;  // for one more sweep
-
-template <class Matrix>
-double LogDeterminant(const Matrix& S) {
-  return 2 * S.llt().matrixLLT().diagonal().array().log().sum();
-}
 
 // Two poses of a clique, and what a factor between them looks like: d_ij = d_j - A d_i.
 template <class Pose>

@@ -16,10 +16,10 @@ namespace {
 
 // So many are chosen with the worth of all that promise something kept up to date; later ones change little beyond
 // their surroundings, and the samples of a round say by how much.
-constexpr int kExact = 256;
+constexpr int kExactUpTo = 256;
 // Links are chosen in rounds: so many for each that was chosen before, four at least. The first ones out of so many
 // times as many that promise most when the round begins.
-constexpr double kExactGrowth = 0.5, kGrowth = 0.25;
+constexpr double kExactGrowth = 0.5, kLaterGrowth = 0.25;
 constexpr int kLeastStep = 4;
 constexpr int kPool = 6, kLeastPool = 1024;
 // The surroundings of a link: so many times as many poses as there are for each link chosen before.
@@ -60,7 +60,7 @@ class Greedy {
     if (options_.most_total) {
       Trim();
     } else if (worth_.KeptCount() < links_) {
-      if (Chosen() > kExact) Sweep();
+      if (Chosen() > kExactUpTo) Sweep();
       Exchange();
     }
     if (out_.course.back().links >= Chosen()) out_.course.pop_back();
@@ -145,8 +145,8 @@ void Greedy<Pose>::Choose() {
     if (IsEnough()) return;
     worth_.Sample();
     const int before = Chosen();
-    const bool is_exact = before < kExact;
-    const int step = std::max(kLeastStep, static_cast<int>((is_exact ? kExactGrowth : kGrowth) * before));
+    const bool is_exact = before < kExactUpTo;
+    const int step = std::max(kLeastStep, static_cast<int>((is_exact ? kExactGrowth : kLaterGrowth) * before));
     const int left = std::min(step, most_ - worth_.KeptCount());
     is_exact ? ChooseExactly(left) : ChooseBySamples(left);
     if (Chosen() == before) throw NumericalError("what the links are worth is not finite");

@@ -10,6 +10,7 @@
 #include "support/stopwatch.h"
 #include "terse/core/gauge.h"
 #include "terse/core/linear_factor.h"
+#include "terse/core/pose_numbers.h"
 #include "terse/core/residual.h"
 
 namespace terse {
@@ -261,13 +262,7 @@ class DistributedRun {
   DistributedResult<Pose> result_;
 };
 
-// A pose as numbers; all ranks, the first too, make theirs of these, so that they are the same to the last bit.
-std::array<double, 3> Numbers(const SE2& T) { return {T.Translation().x(), T.Translation().y(), T.Theta()}; }
-std::array<double, 7> Numbers(const SE3& T) {
-  const Quaternion& q = T.Rotation().Unit();
-  const Vector<3>& t = T.Translation();
-  return {t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w()};
-}
+// All ranks, the first too, make their poses of numbers, so that they are the same to the last bit.
 SE2 PoseOf(const std::array<double, 3>& n) { return SE2({n[0], n[1]}, n[2]); }
 SE3 PoseOf(const std::array<double, 7>& n) { return SE3(SO3(Quaternion(n[6], n[3], n[4], n[5])), {n[0], n[1], n[2]}); }
 
@@ -276,11 +271,11 @@ SE3 PoseOf(const std::array<double, 7>& n) { return SE3(SO3(Quaternion(n[6], n[3
 template <class Pose>
 void BroadcastPoses(MPI_Comm ranks, std::vector<Pose>& T_world_body) {
   constexpr std::size_t kPosesAtOnce = std::size_t{1} << 24;  // MPI counts in int
-  using PoseNumbers = decltype(Numbers(Pose()));
+  using PoseNumbers = decltype(internal::NumbersOf(Pose()));
   for (std::size_t begin = 0; begin < T_world_body.size(); begin += kPosesAtOnce) {
     const std::size_t end = std::min(T_world_body.size(), begin + kPosesAtOnce);
     std::vector<PoseNumbers> numbers;
-    for (std::size_t k = begin; k < end; ++k) numbers.push_back(Numbers(T_world_body[k]));
+    for (std::size_t k = begin; k < end; ++k) numbers.push_back(internal::NumbersOf(T_world_body[k]));
     MPI_Bcast(numbers.data(), static_cast<int>(numbers.size() * PoseNumbers().size()), MPI_DOUBLE, 0, ranks);
     for (std::size_t k = begin; k < end; ++k) T_world_body[k] = PoseOf(numbers[k - begin]);
   }

@@ -214,7 +214,7 @@ void WriteCovariance(const PoseGraph<Pose>& graph, const CovarianceCommandOption
   file.Commit();
 }
 
-void RunCovariance(const CovarianceCommandOptions& options) {
+void PrintCovariances(const CovarianceCommandOptions& options) {
   CheckOutputPaths({{"--output", options.output}}, {{"FILE", options.path}});
   if (options.output != "-") RequireWritable(options.output);
   const GraphFile file = ReadGraph(options.path, options.read);
@@ -252,7 +252,7 @@ void AddCovarianceCommand(CLI::App& app) {
     if (ids->count() > 0) options->ids = ParseIds(options->ids_text, "--ids");
     for (const std::string& text : options->relative_texts) options->relative.push_back(ParseId(text, "--relative"));
     CheckUsage(*options);
-    RunCovariance(*options);
+    PrintCovariances(*options);
   });
 }
 

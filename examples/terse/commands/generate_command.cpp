@@ -15,6 +15,7 @@
 #include "terse/core/generate_robots.h"
 #include "terse/core/number_text.h"
 #include "terse/core/outliers.h"
+#include "terse/core/pose_numbers.h"
 #include "terse/core/require_optimum.h"
 #include "terse/core/slips.h"
 #include "terse/core/stamped_trajectory.h"
@@ -62,27 +63,24 @@ void AppendUpperTriangle(std::string& line, const Matrix<N, N>& information) {
   }
 }
 
-void AppendPose(std::string& line, const SE2& T) {
-  Append(line, {T.Translation().x(), T.Translation().y(), T.Theta()});
-}
-void AppendPose(std::string& line, const SE3& T) {
-  const Quaternion& q = T.Rotation().Unit();
-  Append(line, {T.Translation().x(), T.Translation().y(), T.Translation().z(), q.x(), q.y(), q.z(), q.w()});
+template <class Pose>
+void AppendPose(std::string& line, const Pose& T) {
+  for (const double number : internal::NumbersOf(T)) Append(line, {number});
 }
 
-std::string VertexLine(PoseId id, const SE2& T) {
+std::string VertexText(PoseId id, const SE2& T) {
   std::string line = "VERTEX_SE2 " + std::to_string(id.value);
   AppendPose(line, T);
   return line += '\n';
 }
-std::string VertexLine(PoseId id, const SE3& T) {
+std::string VertexText(PoseId id, const SE3& T) {
   std::string line = "VERTEX_SE3:QUAT " + std::to_string(id.value);
   AppendPose(line, T);
   return line += '\n';
 }
 
 template <class Pose>
-std::string EdgeLine(const RelativePoseFactor<Pose>& edge) {
+std::string EdgeText(const RelativePoseFactor<Pose>& edge) {
   std::string line = Pose::kDim == 2 ? "EDGE_SE2 " : "EDGE_SE3:QUAT ";
   line += std::to_string(edge.from.value) + ' ' + std::to_string(edge.to.value);
   AppendPose(line, edge.T_from_to);
@@ -119,7 +117,7 @@ void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ost
   sink.pose = [&](PoseId id, const Pose& T_world_body_true) {
     if (id.value == 0) {
       T_world_body_reckoned = T_world_body_true;
-      graph << VertexLine(id, T_world_body_reckoned);
+      graph << VertexText(id, T_world_body_reckoned);
     }
     if (ground_truth != nullptr) {
       std::string line = std::to_string(id.value);
@@ -131,12 +129,12 @@ void Stream(const GenerateCommandOptions& options, std::ostream& graph, std::ost
   sink.edge = [&](const RelativePoseFactor<Pose>& edge) {
     if (edge.to.value - edge.from.value == 1) {
       T_world_body_reckoned = Reckon(T_world_body_reckoned, edge.T_from_to);
-      graph << VertexLine(edge.to, T_world_body_reckoned);
+      graph << VertexText(edge.to, T_world_body_reckoned);
     }
-    graph << EdgeLine(edge);
+    graph << EdgeText(edge);
   };
   sink.wrong_loop = [&](const RelativePoseFactor<Pose>& edge) {
-    graph << EdgeLine(edge);
+    graph << EdgeText(edge);
     outliers.Add(edge);
   };
   sink.slip = [&](const RelativePoseFactor<Pose>& edge) { slips.Add(edge); };

@@ -87,7 +87,7 @@ void WarnOf(const nlohmann::ordered_json& stats) {
   }
 }
 
-void PrintSummary(const nlohmann::ordered_json& stats, const std::string& directory) {
+void PrintMerged(const nlohmann::ordered_json& stats, const std::string& directory) {
   std::cout << "joined " << stats["poses"] << " poses, kept " << stats["poses_kept"] << "; " << stats["links_accepted"]
             << " of " << stats["links"] << " links between maps are in, " << stats["links_inconsistent"]
             << " contradict the others\n";
@@ -123,7 +123,7 @@ void RunOn(const std::vector<Input>& inputs, const MergeCommandOptions& options,
     std::cout << stats.dump(2) << '\n';
     FlushOutput();
   } else if (!options.quiet) {
-    PrintSummary(stats, options.directory);
+    PrintMerged(stats, options.directory);
     WarnOf(stats);
   }
 }

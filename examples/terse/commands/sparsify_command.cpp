@@ -105,7 +105,7 @@ void WarnOfInformation(const PoseGraph<Pose>& graph, const Sparsified<Pose>& sma
   std::cerr << line;
 }
 
-void PrintSummary(const nlohmann::ordered_json& stats, const std::string& directory) {
+void PrintSparsified(const nlohmann::ordered_json& stats, const std::string& directory) {
   char line[400];
   std::snprintf(line, sizeof line,
                 "kept %ld of %ld poses and %ld of %ld links by %s; expected position error %.4g m, of the whole graph "
@@ -141,7 +141,7 @@ void RunOn(const PoseGraph<Pose>& graph, const SparsifyCommandOptions& options, 
     return;
   }
   if (options.quiet) return;
-  PrintSummary(stats, options.directory);
+  PrintSparsified(stats, options.directory);
   WarnOfInformation(graph, small);
   WarnOfWrongLinks(graph, small);
   const int poses = static_cast<int>(graph.Poses().size());

@@ -21,9 +21,9 @@
 namespace terse {
 namespace {
 
-constexpr const char* kMark = "tables";  // in a document
+constexpr const char* kCompactMark = "tables";  // in a document
 
-struct Options {
+struct TableCompactOptions {
   std::string folder, output, update;
   std::vector<std::string> graphs;
   CompactTableOptions table;
@@ -42,7 +42,7 @@ std::vector<CompactGraphName> Chosen(const std::vector<std::string>& graphs) {
   return out;
 }
 
-CompactTableRow RunGraph(const CompactGraphName& name, const Options& options) {
+CompactTableRow RunGraph(const CompactGraphName& name, const TableCompactOptions& options) {
   const AnyNamedGraph graph = LoadNamedGraph(name, options.folder, options.laps);
   CompactTableOptions table = options.table;
   table.folder = options.output;
@@ -51,7 +51,7 @@ CompactTableRow RunGraph(const CompactGraphName& name, const Options& options) {
 }
 
 nlohmann::ordered_json AllJson(const std::vector<CompactTableRow>& rows, const std::vector<std::string>& files,
-                               const Options& options) {
+                               const TableCompactOptions& options) {
   nlohmann::ordered_json json;
   json["sample"] = options.table.sample ? nlohmann::ordered_json(*options.table.sample) : nullptr;
   json["seed"] = options.table.seed;
@@ -63,7 +63,7 @@ nlohmann::ordered_json AllJson(const std::vector<CompactTableRow>& rows, const s
   return json;
 }
 
-void RunTable(const Options& options) {
+void RunCompactCommand(const TableCompactOptions& options) {
   const std::vector<CompactGraphName> names = Chosen(options.graphs);
   // Before the first of many minutes, not after them.
   std::vector<NamedPath> inputs;
@@ -74,7 +74,7 @@ void RunTable(const Options& options) {
   if (!options.output.empty()) outputs.push_back({"--output", options.output + "/tables.json"});
   CheckOutputPaths(outputs, inputs);
   if (!options.output.empty()) RequireFolder(options.output, "tables.json");
-  if (!options.update.empty()) RequirePlace(options.update, kMark);
+  if (!options.update.empty()) RequirePlace(options.update, kCompactMark);
   std::vector<CompactTableRow> rows;
   std::vector<std::string> files;
   for (const CompactGraphName& name : names) {
@@ -91,7 +91,7 @@ void RunTable(const Options& options) {
     // Graph by graph: what stops a later one costs the earlier ones nothing.
     WriteJson(AllJson(rows, files, options), options.output + "/tables.json");
   }
-  if (!options.update.empty()) UpdateDocument(options.update, CompactTablesText(rows), kMark);
+  if (!options.update.empty()) UpdateDocument(options.update, CompactTablesText(rows), kCompactMark);
   if (options.json) {
     PrintJson(AllJson(rows, files, options));
     return;
@@ -104,7 +104,7 @@ void RunTable(const Options& options) {
 }  // namespace
 
 void AddCompactTable(CLI::App& table) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<TableCompactOptions>();
   CLI::App* command = table.add_subcommand("compact",
                                            "Compact pose SLAM (Ila et al. 2017): recovery, thresholds, times and "
                                            "errors of its strategies, Tables 1-4, "
@@ -151,7 +151,7 @@ void AddCompactTable(CLI::App& table) {
       ->type_name("FILE");
   command->add_flag("--quiet", options->table.quiet, "No progress on standard error");
   command->footer("Example: terse table compact . --graphs ellipse --random-runs 1 --output figures");
-  command->callback([options] { RunTable(*options); });
+  command->callback([options] { RunCompactCommand(*options); });
 }
 
 }  // namespace terse

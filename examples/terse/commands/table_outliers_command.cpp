@@ -17,9 +17,9 @@
 namespace terse {
 namespace {
 
-constexpr const char* kMark = "protocol";  // in a document
+constexpr const char* kOutliersMark = "protocol";  // in a document
 
-struct Options {
+struct TableOutliersOptions {
   std::string folder, update, runs;
   std::vector<std::string> graphs, kinds = {"random", "grouped"};
   OutlierTableOptions table;
@@ -27,7 +27,7 @@ struct Options {
 };
 
 // Each once, in the order of the words or of size.
-void Normalise(Options& options) {
+void Normalise(TableOutliersOptions& options) {
   OutlierTableOptions& table = options.table;
   std::sort(table.percents.begin(), table.percents.end());
   table.percents.erase(std::unique(table.percents.begin(), table.percents.end()), table.percents.end());
@@ -42,13 +42,13 @@ void Normalise(Options& options) {
   table.methods = methods;
 }
 
-void RunTable(Options options) {
+void RunOutliersCommand(TableOutliersOptions options) {
   Normalise(options);
   const std::vector<GraphPath> inputs = ChooseGraphFiles(options.folder, options.graphs);
   std::vector<NamedPath> named;
   for (const GraphPath& input : inputs) named.push_back({"DIR", input.path});
   CheckOutputPaths({{"--update", options.update}, {"--runs", options.runs}}, named);
-  if (!options.update.empty()) RequirePlace(options.update, kMark);
+  if (!options.update.empty()) RequirePlace(options.update, kOutliersMark);
   std::optional<OutlierRunLog> log;
   OutlierRunStore store;
   if (!options.runs.empty()) {
@@ -70,7 +70,7 @@ void RunTable(Options options) {
   }
   if (std::all_of(graphs.begin(), graphs.end(), [](const OutlierGraph& graph) { return !graph.failure.empty(); }))
     throw FileError(graphs.front().is.path, 0, graphs.front().failure);
-  if (!options.update.empty()) UpdateDocument(options.update, OutlierTableText(graphs), kMark);
+  if (!options.update.empty()) UpdateDocument(options.update, OutlierTableText(graphs), kOutliersMark);
   if (options.json) {
     PrintJson(OutlierTableJson(graphs, options.table));
     return;
@@ -82,7 +82,7 @@ void RunTable(Options options) {
   FlushOutput();
 }
 
-void AddGridOptions(CLI::App& command, Options& options) {
+void AddGridOptions(CLI::App& command, TableOutliersOptions& options) {
   OutlierTableOptions& table = options.table;
   table.percents = {0, 10, 20, 30, 40, 50, 60, 70, 80, 90};
   table.methods = {"batch-gnc", "incremental-gnc", "compact"};
@@ -128,7 +128,7 @@ void AddGridOptions(CLI::App& command, Options& options) {
 }  // namespace
 
 void AddOutliersTable(CLI::App& table) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<TableOutliersOptions>();
   CLI::App* command = table.add_subcommand(
       "outliers",
       "Wrong loops, as the literature tests against them: every graph with 10 to 90 % of them, random and grouped, ten "
@@ -166,7 +166,7 @@ void AddOutliersTable(CLI::App& table) {
       "the map believes are true. Information that the residuals of the clean graph contradict is scaled first.\n"
       "Example: mkdir -p few && terse generate manhattan --poses 60 --output few/walk.g2o &&\n"
       "         terse table outliers few --percents 30 --kinds random --seeds 1");
-  command->callback([options] { RunTable(*options); });
+  command->callback([options] { RunOutliersCommand(*options); });
 }
 
 }  // namespace terse

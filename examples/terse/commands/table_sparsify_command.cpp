@@ -15,9 +15,9 @@
 namespace terse {
 namespace {
 
-constexpr const char* kMark = "sparsify";  // in a document
+constexpr const char* kSparsifyMark = "sparsify";  // in a document
 
-struct Options {
+struct TableSparsifyOptions {
   std::string folder, update;
   std::vector<std::string> graphs, criteria;
   SparsifyTableOptions table;
@@ -30,7 +30,7 @@ void SortEachOnce(std::vector<T>& values) {
   values.erase(std::unique(values.begin(), values.end()), values.end());
 }
 
-void RunTable(Options options) {
+void RunSparsifyCommand(TableSparsifyOptions options) {
   SparsifyTableOptions& table = options.table;
   SortEachOnce(table.percents);
   SortEachOnce(table.sparsities);
@@ -41,7 +41,7 @@ void RunTable(Options options) {
   std::vector<NamedPath> named;
   for (const GraphPath& input : inputs) named.push_back({"DIR", input.path});
   CheckOutputPaths({{"--update", options.update}}, named);
-  if (!options.update.empty()) RequirePlace(options.update, kMark);
+  if (!options.update.empty()) RequirePlace(options.update, kSparsifyMark);
   std::vector<SparsifyTableGraph> graphs;
   {
     long done = 0;
@@ -57,7 +57,7 @@ void RunTable(Options options) {
   const auto failed = [](const SparsifyTableGraph& graph) { return !graph.failure.empty(); };
   if (std::all_of(graphs.begin(), graphs.end(), failed))
     throw FileError(graphs.front().is.path, 0, graphs.front().failure);
-  if (!options.update.empty()) UpdateDocument(options.update, SparsifyTableText(graphs), kMark);
+  if (!options.update.empty()) UpdateDocument(options.update, SparsifyTableText(graphs), kSparsifyMark);
   if (options.json) {
     PrintJson(SparsifyTableJson(graphs, table));
     return;
@@ -72,7 +72,7 @@ void RunTable(Options options) {
 }  // namespace
 
 void AddSparsifyTable(CLI::App& app) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<TableSparsifyOptions>();
   SparsifyTableOptions& table = options->table;
   table.percents = {10, 20, 30, 50};
   table.sparsities = {2, 3, 4, 5};
@@ -123,7 +123,7 @@ void AddSparsifyTable(CLI::App& app) {
       "small graph says.\n"
       "Example: mkdir -p few && terse generate manhattan --poses 60 --output few/walk.g2o &&\n"
       "         terse table sparsify few --percents 20 --draws 2 --sparsities 2");
-  command->callback([options] { RunTable(*options); });
+  command->callback([options] { RunSparsifyCommand(*options); });
 }
 
 }  // namespace terse

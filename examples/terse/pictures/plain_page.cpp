@@ -5,7 +5,7 @@
 namespace terse {
 namespace {
 
-constexpr const char* kHead = R"(<!doctype html>
+constexpr const char* kPageHead = R"(<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <style>
 :root { color-scheme: light dark; }
@@ -21,7 +21,7 @@ svg { max-width: 100%; height: auto; }
 }  // namespace
 
 void WritePlainPage(const std::string& title, const std::string& body, const std::string& path) {
-  WriteText(kHead + ("<title>" + EscapeXml(title)) + "</title></head><body>\n" + body + "\n<p>terse " + TERSE_VERSION +
+  WriteText(kPageHead + ("<title>" + EscapeXml(title)) + "</title></head><body>\n" + body + "\n<p>terse " + TERSE_VERSION +
                 "</p>\n</body></html>\n",
             path);
 }

@@ -12,7 +12,7 @@ namespace terse {
 namespace {
 
 constexpr double kPanelWidth = 480, kPanelHeight = 330;                         // with its margins
-constexpr double kLeft = 82, kRight = 22, kTop = 44, kBottom = 60, kHead = 46;  // margins, and the title's height
+constexpr double kLeft = 82, kRight = 22, kTop = 44, kBottom = 60, kChartHead = 46;  // margins, and the title's height
 constexpr const char* kColours[] = {"#0b62c4", "#d1480b", "#1a7f37", "#8250df", "#9a6700", "#bf3989",
                                     "#0a7ea4", "#57606a", "#d4a72c", "#e56db1", "#6fae3f", "#3d2f8f"};
 
@@ -111,9 +111,9 @@ class Axis {
   std::vector<double> ticks_;
 };
 
-class Picture {
+class Chart {
  public:
-  Picture(const std::string& title, const std::vector<ChartPanel>& panels, int columns)
+  Chart(const std::string& title, const std::vector<ChartPanel>& panels, int columns)
       : title_(title), panels_(panels), columns_(std::max(1, std::min(columns, static_cast<int>(panels.size())))) {
     out_.imbue(std::locale::classic());
     out_.setf(std::ios::fixed);
@@ -128,7 +128,7 @@ class Picture {
 
   std::string Draw() {
     const int rows = (static_cast<int>(panels_.size()) + columns_ - 1) / columns_;
-    const double width = kPanelWidth * columns_, body = kHead + kPanelHeight * rows;
+    const double width = kPanelWidth * columns_, body = kChartHead + kPanelHeight * rows;
     const std::vector<std::pair<double, double>> legend = PlaceLegend(body + 14, width);
     const double height = legend.size() > 1 ? legend.back().second + 20 : body + 8;
     out_ << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 " << width << ' ' << height << "\" width=\""
@@ -139,7 +139,7 @@ class Picture {
     Text(kLeft, 28, title_, "start", " font-size=\"17\" font-weight=\"600\" fill=\"#1f2328\"");
     for (std::size_t k = 0; k < panels_.size(); ++k) {
       const int at = static_cast<int>(k);
-      Panel(panels_[k], kPanelWidth * (at % columns_) + kLeft, kHead + kPanelHeight * (at / columns_) + kTop);
+      Panel(panels_[k], kPanelWidth * (at % columns_) + kLeft, kChartHead + kPanelHeight * (at / columns_) + kTop);
     }
     if (names_.size() > 1) Legend(legend);
     out_ << "</svg>\n";
@@ -255,7 +255,7 @@ std::string EscapeXml(const std::string& text) {
 }
 
 std::string DrawCharts(const std::string& title, const std::vector<ChartPanel>& panels, int columns) {
-  return Picture(title, panels, columns).Draw();
+  return Chart(title, panels, columns).Draw();
 }
 
 void WriteText(const std::string& text, const std::string& path) {

@@ -25,7 +25,7 @@ constexpr std::string_view kFormat = "terse online journal 2\n", kAnyFormat = "t
 // What a file that ends within the format begins with at least; less may be anybody's.
 constexpr std::size_t kLeastStart = 6;
 constexpr std::size_t kLongestHead = 64;  // two numbers and a sum
-constexpr std::size_t kChunk = 1 << 16;
+constexpr std::size_t kReadAtOnce = 1 << 16;
 
 FileError Failure(const std::string& path, const std::string& what, int error) {
   return FileError(path, 0, what + ": " + SystemReason(error));
@@ -44,7 +44,7 @@ std::string Head(long number, std::size_t length) {
   return head + ' ' + Sum(head) + ' ';
 }
 
-std::string Record(long number, const std::string& text) {
+std::string RecordOf(long number, const std::string& text) {
   return Head(number, text.size()) + Sum(text) + ' ' + text + '\n';
 }
 
@@ -123,8 +123,8 @@ bool Journal::FillTo(std::size_t size) {
   taken_ = 0;
   while (ahead_.size() < size) {
     const std::size_t before = ahead_.size();
-    ahead_.resize(before + kChunk);
-    const long count = ReadSome(descriptor_, ahead_.data() + before, kChunk);
+    ahead_.resize(before + kReadAtOnce);
+    const long count = ReadSome(descriptor_, ahead_.data() + before, kReadAtOnce);
     ahead_.resize(before + static_cast<std::size_t>(std::max(count, 0L)));
     if (count < 0) throw Failure(path_, "cannot read the journal", errno);
     if (count == 0) return false;
@@ -169,7 +169,7 @@ std::optional<std::string> Journal::ReadLine() {
     throw Damage("bytes are missing in record " + std::to_string(number));
   }
   std::string text(rest.substr(text_at, length));
-  const std::string record = Record(number, text);
+  const std::string record = RecordOf(number, text);
   if (!IsPrefix(record, rest))
     throw Damage("the text of record " + std::to_string(number) + " is not what was written");
   taken_ += record.size();
@@ -190,14 +190,14 @@ void Journal::Create(const std::string& header) {
   // What a run left that was killed while it began.
   if (::ftruncate(descriptor_, 0) != 0) throw Failure(path_, "cannot write the journal", errno);
   whole_ = records_ = 0;
-  Write(std::string(kFormat) + Record(0, header));
+  Write(std::string(kFormat) + RecordOf(0, header));
   header_ = header;
   Sync();
   SyncFolderOf(path_);
 }
 
 void Journal::Restart(const std::string& header) {
-  const std::string next = path_ + ".next", bytes = std::string(kFormat) + Record(0, header);
+  const std::string next = path_ + ".next", bytes = std::string(kFormat) + RecordOf(0, header);
   const int descriptor = ::open(next.c_str(), O_RDWR | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC, 0666);
   if (descriptor < 0) throw Failure(next, "cannot open the journal", errno);
   int error = ::flock(descriptor, LOCK_EX | LOCK_NB) != 0 ? errno : WriteAll(descriptor, bytes);
@@ -227,7 +227,7 @@ void Journal::Write(const std::string& bytes) {
   ++records_;
 }
 
-void Journal::Append(const std::string& text) { Write(Record(records_, text)); }
+void Journal::Append(const std::string& text) { Write(RecordOf(records_, text)); }
 
 void Journal::Sync() {
   if (const int error = SyncData(descriptor_); error != 0) throw Failure(path_, "cannot write the journal", error);

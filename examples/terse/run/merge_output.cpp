@@ -8,18 +8,12 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/number_text.h"
+#include "terse/core/pose_numbers.h"
 #include "terse/core/stamped_trajectory.h"
 #include "terse/core/trajectory.h"
 
 namespace terse {
 namespace {
-
-std::vector<double> Numbers(const SE2& T) { return {T.Translation().x(), T.Translation().y(), T.Theta()}; }
-std::vector<double> Numbers(const SE3& T) {
-  const Vector<3>& p = T.Translation();
-  const Quaternion& q = T.Rotation().Unit();
-  return {p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w()};
-}
 
 // Links that a map takes part in.
 struct LinkCounts {
@@ -73,7 +67,7 @@ nlohmann::ordered_json MergeStats(const Merged<Pose>& merged) {
     of_map["links"] = links.given;
     of_map["links_accepted"] = links.accepted;
     if (map.placement != Placement::kApart) {
-      of_map["T_joint_map"] = Numbers(map.T_joint_map);
+      of_map["T_joint_map"] = internal::NumbersOf(map.T_joint_map);
       const Vector<Pose::kDof> deviations = map.covariance.diagonal().cwiseSqrt();
       const std::vector<double> sigma(deviations.data(), deviations.data() + Pose::kDof);
       of_map["sigma_of_first_pose"] = sigma;

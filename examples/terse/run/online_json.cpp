@@ -1,6 +1,7 @@
 #include "run/online_json.h"
 
 #include "terse/compact/compact_json.h"
+#include "terse/core/pose_numbers.h"
 #include "terse/core/robust.h"
 #include "terse/covariance/covariance_table.h"
 
@@ -10,13 +11,6 @@ namespace {
 using nlohmann::ordered_json;
 
 ordered_json OrNull(const std::optional<double>& value) { return value ? ordered_json(*value) : ordered_json(); }
-
-std::vector<double> Numbers(const SE2& T) { return {T.Translation().x(), T.Translation().y(), T.Theta()}; }
-std::vector<double> Numbers(const SE3& T) {
-  const Vector<3>& p = T.Translation();
-  const Quaternion& q = T.Rotation().Unit();
-  return {p.x(), p.y(), p.z(), q.x(), q.y(), q.z(), q.w()};
-}
 
 // A candidate that a measurement came for.
 ordered_json LinkJson(const Candidate& c) {
@@ -64,7 +58,7 @@ ordered_json DecisionJson(const Decision& d, const CompactPoseSlam<Pose>& slam) 
                        {"verdict", Name(d.verdict)},
                        {"pose_gain", OrNull(d.pose_gain)},
                        {"links", links},
-                       {"estimate", Numbers(slam.Estimate(d.id, Recovery::kV2))}};
+                       {"estimate", internal::NumbersOf(slam.Estimate(d.id, Recovery::kV2))}};
   if (d.loops_forgotten > 0) json["loops_forgotten"] = d.loops_forgotten;
   if (!d.retired.empty()) {
     json["retired"] = ordered_json::array();
@@ -144,9 +138,9 @@ ordered_json CovarianceJson(const std::vector<PoseId>& poses, const CompactPoseS
   if (is_pair) {
     json = {{"from", first.value},
             {"to", last.value},
-            {"estimate", Numbers(slam.Estimate(first, Recovery::kV2).Inverse() * T_world_last)}};
+            {"estimate", internal::NumbersOf(slam.Estimate(first, Recovery::kV2).Inverse() * T_world_last)}};
   } else {
-    json = {{"ids", {first.value}}, {"kept", slam.KeptBase(first) == first}, {"estimate", Numbers(T_world_last)}};
+    json = {{"ids", {first.value}}, {"kept", slam.KeptBase(first) == first}, {"estimate", internal::NumbersOf(T_world_last)}};
   }
   json["frame"] = Name(convention.frame);
   json["order"] = Name(convention.order);

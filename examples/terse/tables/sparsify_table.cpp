@@ -29,9 +29,9 @@ PoseError ErrorOf(const Sparsified<Pose>& small) {
 }
 
 template <class Pose>
-class GraphRuns {
+class SparsifyRuns {
  public:
-  GraphRuns(const PoseGraph<Pose>& graph, const SparsifyTableOptions& options, Progress& progress, long& done,
+  SparsifyRuns(const PoseGraph<Pose>& graph, const SparsifyTableOptions& options, Progress& progress, long& done,
             SparsifyTableGraph& out)
       : graph_(graph), options_(options), progress_(progress), done_(done), out_(out) {}
 
@@ -113,7 +113,7 @@ SparsifyTableGraph RunSparsifyTable(const GraphPath& graph, const SparsifyTableO
     ReadOptions read;
     read.expect_connected = false;
     const GraphFile file = ReadGraph(graph.path, read);
-    const auto run = [&](const auto& known) { GraphRuns(known, options, progress, done, out).Run(); };
+    const auto run = [&](const auto& known) { SparsifyRuns(known, options, progress, done, out).Run(); };
     std::visit(run, file.graph);
   } catch (const std::exception& error) {
     out.failure = error.what();

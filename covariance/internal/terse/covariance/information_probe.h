@@ -31,6 +31,9 @@ struct BlockSquares {
 template <class Pose>
 BlockSquares SquaresOf(const typename Pose::Tangent& residual, const typename Pose::Jacobian& information);
 
+// So many of the loops agree with information that is not far too certain; the others are wrong.
+inline constexpr double kManyAgree = 0.3;
+
 // Share of the loops of the graph's beginning that agree with the odometry between their ends as both are stated.
 template <class Pose>
 double ShareOfAgreeingLoops(const PoseGraph<Pose>& graph, const EstimateOptions& options);
