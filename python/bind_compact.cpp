@@ -99,9 +99,9 @@ Slam Restore(const CompactMapFile& file, const CompactSettings& settings) {
       file.map);
 }
 
-using Type = py::class_<Slam>;
+using SlamType = py::class_<Slam>;
 
-void BindCounts(Type& type) {
+void BindCounts(SlamType& type) {
   type.def_property_readonly(
           "dimension", [](const Slam& s) { return DimensionOf(s.slam); }, "2 or 3.")
       .def_property_readonly(
@@ -129,7 +129,7 @@ void BindCounts(Type& type) {
           "one position prior; '' if nothing, or if there are none.");
 }
 
-void BindEstimates(Type& type) {
+void BindEstimates(SlamType& type) {
   type.def(
           "estimate",
           [](const Slam& s, std::int64_t id, const std::string& recovery) {
@@ -158,7 +158,7 @@ void BindEstimates(Type& type) {
           "Sum of r' Omega r over the measurements of the map.");
 }
 
-void BindStorage(Type& type) {
+void BindStorage(SlamType& type) {
   type.def(
           "save",
           [](const Slam& s, const Path& path) {
@@ -179,7 +179,7 @@ void BindStorage(Type& type) {
                   "itself, NumericalError if its measurements do not hold it. Without the GIL.");
 }
 
-void BindCovariances(Type& type) {
+void BindCovariances(SlamType& type) {
   using Text = const std::string&;
   constexpr const char* kConvention =
       "\n\nframe: 'body', of d in T Exp(d), 'world', of e in Exp(e) T, or 'world_axes', of position and rotation along "
@@ -237,7 +237,7 @@ void BindCompact(py::module_& module) {
                       [](const py::tuple& state) {
                         return Recovered{state[0], state[1], state[2]};
                       }));
-  Type type(module, "CompactPoseSlam",
+  SlamType type(module, "CompactPoseSlam",
             "Keeps the poses and links of a run that carry information; the others come back in trajectory().\n\n"
             "Any thread may call; calls wait for each other, without the GIL.");
   type.def(py::init(&MakeSlam), py::arg("options"), "options: CompactOptions. ValueError if one is out of its domain.");

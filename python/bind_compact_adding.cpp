@@ -121,9 +121,9 @@ std::vector<RetiredPose> Retire(const Slam& slam, std::optional<double> most_los
   return std::visit([&](const auto& held) { return most_loss ? held->Retire(*most_loss) : held->Retire(); }, slam.slam);
 }
 
-using Type = py::class_<Slam>;
+using SlamType = py::class_<Slam>;
 
-void BindNewPoses(Type& type) {
+void BindNewPoses(SlamType& type) {
   type.def(
           "add_pose",
           [](const Slam& slam, std::int64_t id, py::object odometry, const py::object& registration,
@@ -160,7 +160,7 @@ void BindNewPoses(Type& type) {
            "returns False to stop. Without the GIL; Ctrl-C works.");
 }
 
-void BindLateMeasurements(Type& type) {
+void BindLateMeasurements(SlamType& type) {
   type.def(
           "add_link",
           [](const Slam& slam, const RelativePose& link) {
@@ -201,7 +201,7 @@ void BindLateMeasurements(Type& type) {
 
 }  // namespace
 
-void BindCompactAdding(Type& type) {
+void BindCompactAdding(SlamType& type) {
   BindNewPoses(type);
   BindLateMeasurements(type);
   type.def(

@@ -154,9 +154,9 @@ void BindStepReport(py::module_& module) {
       .def(PickleOf<StepReport>("pickle StepReport"));
 }
 
-using Type = py::class_<Solver>;
+using SolverType = py::class_<Solver>;
 
-void BindSteps(Type& type) {
+void BindSteps(SolverType& type) {
   type.def(py::init(&MakeSolver), py::arg("dimension"), py::arg("options") = py::none(),
            "dimension: 2 or 3. options: IncrementalOptions.")
       .def("update", &Update, py::kw_only(), py::arg("poses") = py::tuple(), py::arg("factors") = py::tuple(),
@@ -173,7 +173,7 @@ void BindSteps(Type& type) {
            "the GIL.");
 }
 
-void BindEstimates(Type& type) {
+void BindEstimates(SolverType& type) {
   type.def_property_readonly(
           "dimension", [](const Solver& s) { return DimensionOf(s.solver); }, "2 or 3.")
       .def_property_readonly(
@@ -209,7 +209,7 @@ void BindEstimates(Type& type) {
           "Poses and measurements so far; the values in it are the poses' initial ones. A copy.");
 }
 
-void BindCosts(Type& type) {
+void BindCosts(SolverType& type) {
   type.def(
           "chi2", [](const Solver& s) { return Read(s, [](const auto& held) { return held.Chi2(); }); },
           "Sum of r' Omega r at the estimate, without robust weights.")
@@ -234,7 +234,7 @@ void BindCosts(Type& type) {
           "ln det H at the linearisation points.");
 }
 
-void BindStorage(Type& type) {
+void BindStorage(SolverType& type) {
   type.def(
           "save",
           [](const Solver& s, const Path& path) {
@@ -266,7 +266,7 @@ void BindStorage(Type& type) {
 
 void BindIncremental(py::module_& module) {
   BindStepReport(module);
-  Type type(module, "IncrementalSolver",
+  SolverType type(module, "IncrementalSolver",
             "Optimisation of a growing pose graph.\n\n"
             "A new pose starts at the value given with it, else at that of its prior, else at the end of its first "
             "measurement "

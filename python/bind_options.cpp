@@ -12,7 +12,7 @@
 namespace terse::python {
 namespace {
 
-using Type = py::class_<IncrementalOptions, std::shared_ptr<IncrementalOptions>>;
+using OptionsType = py::class_<IncrementalOptions, std::shared_ptr<IncrementalOptions>>;
 
 // An enumeration as a property with its word.
 template <class Class, class E>
@@ -23,7 +23,7 @@ void DefWord(Class& type, const char* name, E IncrementalOptions::*member, const
 }
 
 void BindIncrementalOptions(py::module_& module) {
-  Type type(module, "IncrementalOptions",
+  OptionsType type(module, "IncrementalOptions",
             "How much an incremental step re-optimises. The defaults suit all graphs that were tried.");
   type.def(py::init([](const std::string& policy, const py::kwargs& keywords) {
              const auto options = std::make_shared<IncrementalOptions>(PolicyOptions(FromWord<Policy>(policy)));

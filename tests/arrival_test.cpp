@@ -28,7 +28,7 @@ Graph WithPoses(const std::vector<std::int64_t>& ids) {
 // A connected graph whose poses have random ids in random order, and edges random directions and order. The
 // spanning tree follows another random order, so that most ids wait at some time.
 Graph RandomGraph(unsigned seed) {
-  testing::Random random(seed);
+  testing::PoseRandom random(seed);
   const int n = 1 + static_cast<int>(random.Uniform(0, 40));
   const auto pick = [&](int end) { return static_cast<int>(random.Uniform(0, end)); };
   std::set<std::int64_t> distinct;

@@ -36,20 +36,12 @@ struct Size {
   double ate_m = 0;
 };
 
-SE3 InSpace(const SE3& T) { return T; }
-SE3 InSpace(const SE2& T) {
-  SE3::Tangent turn = SE3::Tangent::Zero(), shift = SE3::Tangent::Zero();
-  turn[5] = T.Theta();
-  shift.head<2>() = T.Translation();
-  return SE3::Exp(shift) * SE3::Exp(turn);
-}
-
 template <class Pose>
 Size SizeOf(const testing::RandomGraph<Pose>& scene, Strategy strategy) {
   const auto run = CompactGraph(scene.graph, strategy);
   std::vector<SE3> estimate, truth;
-  for (const auto& pose : run.slam.Trajectory()) estimate.push_back(InSpace(pose.T_world_body));
-  for (const Pose& T : scene.truth) truth.push_back(InSpace(T));
+  for (const auto& pose : run.slam.Trajectory()) estimate.push_back(testing::InSpace(pose.T_world_body));
+  for (const Pose& T : scene.truth) truth.push_back(testing::InSpace(T));
   const Size size{run.PosesKept(), run.LinksKept(), AbsoluteError(estimate, truth)};
   std::printf("%s, %zu poses: kept %d poses, %d links; ATE %.4f m\n", Name(strategy), truth.size(), size.poses,
               size.links, size.ate_m);
@@ -90,8 +82,8 @@ TEST(CompactBoundedGrowthTest, TenLapsOfTheEllipseKeepWhatThreeDo) {
 template <class Pose>
 Size SizeOf(const CompactPoseSlam<Pose>& slam, const std::vector<Pose>& truth) {
   std::vector<SE3> estimate, reference;
-  for (const auto& pose : slam.Trajectory()) estimate.push_back(InSpace(pose.T_world_body));
-  for (std::size_t k = 0; k < estimate.size(); ++k) reference.push_back(InSpace(truth[k]));
+  for (const auto& pose : slam.Trajectory()) estimate.push_back(testing::InSpace(pose.T_world_body));
+  for (std::size_t k = 0; k < estimate.size(); ++k) reference.push_back(testing::InSpace(truth[k]));
   return {static_cast<int>(slam.Solver().Graph().Poses().size()), slam.LinksKept(), AbsoluteError(estimate, reference)};
 }
 

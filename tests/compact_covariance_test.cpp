@@ -7,6 +7,7 @@
 
 #include "simulation.h"
 #include "terse/compact/compact_map.h"
+#include "terse/core/pose_values.h"
 #include "terse/covariance/marginals.h"
 #include "testing_chains.h"
 #include "testing_compact.h"
@@ -46,13 +47,6 @@ class Dense {
   Eigen::MatrixXd Sigma_;
 };
 
-template <class Pose>
-std::vector<Pose> ValuesOf(const PoseGraph<Pose>& graph) {
-  std::vector<Pose> out;
-  for (const auto& node : graph.Poses()) out.push_back(*node.T_world_body);
-  return out;
-}
-
 struct Worst {
   double marginal = 0, relative = 0;
   int dropped = 0, behind = 0, branched = 0, same_chain = 0;  // cases that there were
@@ -87,7 +81,7 @@ void ExpectOracle(const ChainOptions& options, double tolerance, std::uint64_t s
   for (const std::uint64_t seed : Seeds(1, seeds)) {
     Chains<Pose> chains(seed, options);
     const auto oracle = chains.Oracle();
-    Compare(chains, Dense<Pose>(oracle, ValuesOf(oracle)), options.shared_odometry, worst);
+    Compare(chains, Dense<Pose>(oracle, internal::ValuesOf(oracle)), options.shared_odometry, worst);
   }
   EXPECT_LT(worst.marginal, tolerance);
   EXPECT_LT(worst.relative, tolerance);
@@ -122,7 +116,7 @@ TYPED_TEST(CompactCovarianceTest, BehindTheOnlyKeptPose) {
   Worst worst;
   Chains<TypeParam> chains(3, options);
   const auto oracle = chains.Oracle();
-  Compare(chains, Dense<TypeParam>(oracle, ValuesOf(oracle)), false, worst);
+  Compare(chains, Dense<TypeParam>(oracle, internal::ValuesOf(oracle)), false, worst);
   EXPECT_EQ(worst.behind, chains.Size() - 1);
   EXPECT_LT(worst.marginal, kTolerance);
   EXPECT_LT(worst.relative, kTolerance);
@@ -347,7 +341,7 @@ void ExpectConsistent(double noise) {
     CompactOptions<Pose> options = testing::OptionsFor(replay, Strategy::kFpfl);
     options.thresholds.min_loop_gain = 0.5 * Pose::kDof;
     options.thresholds.min_pose_gain = 1.2 * Pose::kDof;
-    auto compact = testing::RunCompact(replay, options);
+    auto compact = testing::RunReplay(replay, options);
     compact.slam->Finish();
     std::vector<PoseId> dropped;
     for (const auto& pose : compact.slam->Trajectory()) {

@@ -43,8 +43,8 @@ std::string Content(const std::string& path) {
 }
 
 template <class Pose>
-struct Scene {
-  explicit Scene(std::uint64_t seed, int poses = 50) {
+struct FileScene {
+  explicit FileScene(std::uint64_t seed, int poses = 50) {
     testing::Random rng(seed);
     testing::RandomGraphOptions scene_options;
     scene_options.poses = poses;
@@ -72,7 +72,7 @@ TYPED_TEST_SUITE(CompactFilesTest, Groups);
 TYPED_TEST(CompactFilesTest, AMapReadsBackAndGoesOn) {
   using Pose = TypeParam;
   const TestFolder folder;
-  const Scene<Pose> scene(1);
+  const FileScene<Pose> scene(1);
   CompactPoseSlam<Pose> slam(scene.options);
   const auto before = static_cast<std::size_t>(30);
   for (std::size_t k = 0; k < before; ++k) slam.AddPose(scene.replay->Inputs()[k]);
@@ -124,7 +124,7 @@ struct Counts {
 
 // What ReadRunFolder gives is what the run decided.
 template <class Pose>
-void ExpectAFolderHoldsTheRun(const Scene<Pose>& scene, Counts& counts) {
+void ExpectAFolderHoldsTheRun(const FileScene<Pose>& scene, Counts& counts) {
   const TestFolder folder;
   StepRecorder<Pose> recorder(static_cast<int>(scene.graph.Poses().size()));
   const CompactRun<Pose> run = RunCompact<Pose>(
@@ -191,7 +191,7 @@ void ExpectAFolderHoldsTheRun(const Scene<Pose>& scene, Counts& counts) {
 }
 
 TYPED_TEST(CompactFilesTest, AFolderHoldsTheRun) {
-  Scene<TypeParam> scene(2);
+  FileScene<TypeParam> scene(2);
   for (const Strategy strategy : {Strategy::kFpfl, Strategy::kBounded}) {
     SCOPED_TRACE(Name(strategy));
     scene.options.strategy = strategy;
@@ -208,7 +208,7 @@ TYPED_TEST(CompactFilesTest, AFolderHoldsTheRun) {
 
 TYPED_TEST(CompactFilesTest, ARunIsEndedByItsWatch) {
   using Pose = TypeParam;
-  const Scene<Pose> scene(3);
+  const FileScene<Pose> scene(3);
   CompactPoseSlam<Pose> slam(scene.options), whole(scene.options);
   const auto first = AddPoses<Pose>(slam, *scene.replay, [&](const Decision& decision, double seconds) {
     EXPECT_GE(seconds, 0);
@@ -223,7 +223,7 @@ TYPED_TEST(CompactFilesTest, ARunIsEndedByItsWatch) {
 
 TEST(CompactFilesTest, ABadMapIsRefusedAtItsPlaceAndABadEstimateIsNotWritten) {
   const TestFolder folder;
-  const Scene<SE2> scene(4, 12);
+  const FileScene<SE2> scene(4, 12);
   CompactPoseSlam<SE2> slam(scene.options);
   AddPoses(slam, *scene.replay);
   CompactMap<SE2> map = slam.Export();

@@ -13,7 +13,7 @@ namespace {
 using testing::Random;
 
 template <class Pose>
-PoseGraph<Pose> Scene(std::uint64_t seed, int poses = 60) {
+PoseGraph<Pose> WalkScene(std::uint64_t seed, int poses = 60) {
   Random rng(seed);
   testing::RandomGraphOptions options;
   options.poses = poses;
@@ -31,7 +31,7 @@ TYPED_TEST(CompactGraphTest, IsTheRunByHand) {
   using Pose = TypeParam;
   for (std::uint64_t seed = 1; seed <= 3; ++seed) {
     SCOPED_TRACE(seed);
-    const PoseGraph<Pose> graph = Scene<Pose>(seed);
+    const PoseGraph<Pose> graph = WalkScene<Pose>(seed);
     const CompactRun<Pose> run = CompactGraph(graph, Strategy::kFpfl);
 
     CompactOptions<Pose> options;
@@ -41,7 +41,7 @@ TYPED_TEST(CompactGraphTest, IsTheRunByHand) {
     sample.innovation_quantile = options.innovation_quantile;
     options.thresholds = SelectThresholds(graph, sample).thresholds;
     GraphReplay<Pose> replay(graph);
-    const auto by_hand = testing::RunCompact(replay, options);
+    const auto by_hand = testing::RunReplay(replay, options);
     const auto result = by_hand.slam->Finish();
     EXPECT_EQ(run.result.chi2, result.chi2);
     EXPECT_EQ(run.PosesKept(), static_cast<int>(by_hand.slam->Solver().Graph().Poses().size()));
@@ -76,7 +76,7 @@ TYPED_TEST(CompactGraphTest, IsTheRunByHand) {
 }
 
 TYPED_TEST(CompactGraphTest, TheDefaultIsBounded) {
-  const auto graph = Scene<TypeParam>(1);
+  const auto graph = WalkScene<TypeParam>(1);
   const auto unsaid = CompactGraph(graph), said = CompactGraph(graph, Strategy::kBounded);
   EXPECT_EQ(unsaid.slam.Options().strategy, Strategy::kBounded);
   EXPECT_EQ(CompactOptions<TypeParam>().strategy, Strategy::kBounded);
@@ -94,7 +94,7 @@ TYPED_TEST(CompactGraphTest, TheDefaultIsBounded) {
 }
 
 TYPED_TEST(CompactGraphTest, GivenOptionsAreObeyed) {
-  const auto graph = Scene<TypeParam>(4);
+  const auto graph = WalkScene<TypeParam>(4);
   CompactOptions<TypeParam> options;
   options.strategy = Strategy::kApal;
   const auto all = CompactGraph(graph, options);

@@ -43,7 +43,7 @@ void AddRun(std::uint64_t seed, CompositionOrder composition, bool priors, Sum& 
   options.thresholds.min_loop_gain = 0.5 * B;
   options.thresholds.min_pose_gain = 1.2 * B;
   options.composition = composition;
-  auto compact = testing::RunCompact(replay, options);
+  auto compact = testing::RunReplay(replay, options);
   compact.slam->Finish();
   const IncrementalMarginals<Pose> marginals(compact.slam->Solver());
   const auto& kept = compact.slam->Solver().Graph().Poses();
@@ -111,7 +111,7 @@ void ExpectBoundedConsistent(const char* name, int runs,
     options.strategy = Strategy::kBounded;
     options.record = Record::kNone;
     SampleThresholds(scene.graph, options);
-    auto compact = testing::RunCompact(replay, options);
+    auto compact = testing::RunReplay(replay, options);
     compact.slam->Finish();
     for (const Decision& decision : compact.decisions) edges += static_cast<long>(decision.edges.size());
     const IncrementalMarginals<Pose> marginals(compact.slam->Solver());

@@ -16,7 +16,7 @@ namespace terse {
 namespace {
 
 using testing::Random;
-using testing::RunCompact;
+using testing::RunReplay;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
@@ -38,7 +38,7 @@ TYPED_TEST_SUITE(CompactPoseSlamTest, Groups);
 
 template <class Pose>
 void ExpectAllKeptEqualsBatch(const PoseGraph<Pose>& graph) {
-  auto run = RunCompact(graph, Strategy::kApal, 1, 3);
+  auto run = RunReplay(graph, Strategy::kApal, 1, 3);
   const auto result = run.slam->Finish();
   const auto batch = SolveBatch(graph, ComputeInitialValues(graph, InitialValues::kCompose));
   ASSERT_TRUE(result.Converged() && batch.Converged());
@@ -95,7 +95,7 @@ TYPED_TEST(CompactPoseSlamTest, AFixedPoseIsHeldAtItsValue) {
     const auto& node = graph.Poses()[static_cast<std::size_t>(fixed)];
     graph.SetFixed(node.id, true);
     ExpectAllKeptEqualsBatch(graph);
-    auto run = RunCompact(graph, Strategy::kFpfl, 1, 1e9);
+    auto run = RunReplay(graph, Strategy::kFpfl, 1, 1e9);
     run.slam->Finish();
     // kAnchorInformation against some edges of information 1e2 that pull by 0.02.
     EXPECT_LT(testing::Distance(run.slam->Estimate(node.id), *node.T_world_body), 1e-4);
@@ -116,7 +116,7 @@ void ExpectSameGraph(const PoseGraph<Pose>& a, const PoseGraph<Pose>& b) {
 TYPED_TEST(CompactPoseSlamTest, DroppingNothingIsTheGraphOfAllPosesFewLinks) {
   for (const std::uint64_t seed : testing::Seeds(1, 3)) {
     const auto graph = this->RandomGraph(seed);
-    const auto few = RunCompact(graph, Strategy::kFpfl, 0, 0), all = RunCompact(graph, Strategy::kApfl, 0, 0);
+    const auto few = RunReplay(graph, Strategy::kFpfl, 0, 0), all = RunReplay(graph, Strategy::kApfl, 0, 0);
     ExpectSameGraph(few.slam->Solver().Graph(), all.slam->Solver().Graph());
     for (std::size_t k = 0; k < few.decisions.size(); ++k) {
       EXPECT_TRUE(few.decisions[k].Kept());
@@ -128,7 +128,7 @@ TYPED_TEST(CompactPoseSlamTest, DroppingNothingIsTheGraphOfAllPosesFewLinks) {
 
 // What the header says of a decision, read off the decision.
 template <class Pose>
-void ExpectRulesObeyed(const testing::CompactRun<Pose>& run, const CompactOptions<Pose>& options) {
+void ExpectRulesObeyed(const testing::ReplayedRun<Pose>& run, const CompactOptions<Pose>& options) {
   std::set<std::int64_t> kept;
   int links = 0;
   for (const Decision& d : run.decisions) {
@@ -193,7 +193,7 @@ void ExpectRulesObeyed(const PoseGraph<Pose>& graph) {
       options.thresholds.min_loop_gain = loop;
       options.thresholds.min_pose_gain = pose;
       options.most_recorded = 1 << 20;
-      ExpectRulesObeyed(RunCompact(replay, options), options);
+      ExpectRulesObeyed(RunReplay(replay, options), options);
     }
   }
 }
@@ -211,14 +211,14 @@ TEST(CompactScenes, HigherThresholdsKeepLess) {
   const auto scene = testing::MakeScene<SE2>(Scene::kManhattan, 300, 2);
   std::size_t last = scene.graph.Poses().size() + 1;
   for (const double gain : {0.0, 2.0, 4.0, 6.0}) {
-    const auto kept = RunCompact(scene.graph, Strategy::kFpfl, 1e9, gain).slam->Solver().Graph().Poses().size();
+    const auto kept = RunReplay(scene.graph, Strategy::kFpfl, 1e9, gain).slam->Solver().Graph().Poses().size();
     EXPECT_LE(kept, last);
     last = kept;
   }
   EXPECT_LT(last, scene.graph.Poses().size() * 3 / 4) << "a threshold of 6 nats drops poses";
   int links = static_cast<int>(scene.graph.Factors().size());
   for (const double gain : {0.0, 2.0, 4.0, 8.0}) {
-    const int kept = RunCompact(scene.graph, Strategy::kApfl, gain, 0).slam->LinksKept();
+    const int kept = RunReplay(scene.graph, Strategy::kApfl, gain, 0).slam->LinksKept();
     EXPECT_LE(kept, links);
     links = kept;
   }
@@ -226,7 +226,7 @@ TEST(CompactScenes, HigherThresholdsKeepLess) {
 
 TYPED_TEST(CompactPoseSlamTest, TwoRunsAreTheSameToTheBit) {
   const auto graph = this->RandomGraph(5);
-  auto a = RunCompact(graph, Strategy::kFpfl, 0.5, 3), b = RunCompact(graph, Strategy::kFpfl, 0.5, 3);
+  auto a = RunReplay(graph, Strategy::kFpfl, 0.5, 3), b = RunReplay(graph, Strategy::kFpfl, 0.5, 3);
   const auto same = [](const TypeParam& x, const TypeParam& y) { return std::memcmp(&x, &y, sizeof(x)) == 0; };
   for (int round = 0; round < 2; ++round) {
     const auto x = a.slam->Trajectory(), y = b.slam->Trajectory();

@@ -14,11 +14,6 @@
 namespace terse {
 namespace {
 
-SE3 InSpace(const SE3& T) { return T; }
-SE3 InSpace(const SE2& T) {
-  return SE3(SO3::Exp(Vector<3>(0, 0, T.Theta())), Vector<3>(T.Translation().x(), T.Translation().y(), 0));
-}
-
 struct Outcome {
   double metres, degrees, share;  // of the poses
   int links;
@@ -29,7 +24,7 @@ std::vector<SE3> OptimumOf(const PoseGraph<Pose>& graph) {
   const auto result = SolveBatch(graph);
   EXPECT_TRUE(result.Converged()) << result.message;
   std::vector<SE3> out;
-  for (const Pose& T : result.T_world_body) out.push_back(InSpace(T));
+  for (const Pose& T : result.T_world_body) out.push_back(testing::InSpace(T));
   return out;
 }
 
@@ -39,7 +34,7 @@ Outcome FewPosesFewLinks(const PoseGraph<Pose>& graph, const std::vector<SE3>& r
   const CompactRun<Pose> run = CompactGraph(graph, strategy);
   std::vector<SE3> estimate, truth;
   for (const auto& pose : run.slam.Trajectory()) {
-    estimate.push_back(InSpace(pose.T_world_body));
+    estimate.push_back(testing::InSpace(pose.T_world_body));
     truth.push_back(reference[static_cast<std::size_t>(graph.IndexOf(pose.id))]);
   }
   EvaluateOptions options;
@@ -192,8 +187,8 @@ TEST(CompactFarLoops, AreAskedForUnderABudget) {
     }
     std::vector<SE3> estimate, reference;
     for (const auto& pose : slam.Trajectory()) {
-      estimate.push_back(InSpace(pose.T_world_body));
-      reference.push_back(InSpace(truth[static_cast<std::size_t>(pose.id.value)]));
+      estimate.push_back(testing::InSpace(pose.T_world_body));
+      reference.push_back(testing::InSpace(truth[static_cast<std::size_t>(pose.id.value)]));
     }
     EXPECT_LE(most, options.max_registrations);
     return std::pair(AbsoluteError(estimate, reference, Alignment::kSE2), tried);

@@ -130,8 +130,8 @@ constexpr std::array<Setting, 18> kSettings = {{
 
 // A run over a random graph: its inputs, and what happens besides.
 template <class Pose>
-struct Course {
-  Course(const Setting& setting, std::uint64_t seed, int poses) : rng(seed) {
+struct StateCourse {
+  StateCourse(const Setting& setting, std::uint64_t seed, int poses) : rng(seed) {
     testing::RandomGraphOptions options;
     options.poses = poses;
     options.id_stride = 3;
@@ -258,7 +258,7 @@ class Lockstep {
     ++removed;
   }
 
-  Course<Pose> course_;
+  StateCourse<Pose> course_;
   CompactPoseSlam<Pose> running_;
   std::optional<CompactPoseSlam<Pose>> resumed_;
   std::size_t interval_;
@@ -320,7 +320,7 @@ TEST(CompactStateConsensusTest, ContinuesBitByBit) {
 
 // Options included, and a run without a pose.
 TYPED_TEST(CompactStateTest, BeforeTheFirstPose) {
-  const Course<TypeParam> course(kSettings[3], 4, 10);
+  const StateCourse<TypeParam> course(kSettings[3], 4, 10);
   const CompactPoseSlam<TypeParam> slam(course.slam);
   const auto loaded = SavedAndLoaded(slam);
   EXPECT_EQ(loaded.PosesSeen(), 0);
@@ -333,7 +333,7 @@ TYPED_TEST(CompactStateTest, BeforeTheFirstPose) {
 
 // What fails leaves nothing behind that a state would keep.
 TYPED_TEST(CompactStateTest, FailuresLeaveTheStateAsItWas) {
-  Course<TypeParam> course(kSettings[0], 5, 30);
+  StateCourse<TypeParam> course(kSettings[0], 5, 30);
   CompactPoseSlam<TypeParam> slam(course.slam);
   for (std::size_t k = 0; k < 29; ++k) slam.AddPose(course.inputs[k], course.replay->AsRegistration());
   const std::string before = SavedButTimes(slam);
@@ -353,7 +353,7 @@ TYPED_TEST(CompactStateTest, FailuresLeaveTheStateAsItWas) {
 // Files that must be refused -------------------------------------------------------------------------------------
 
 CompactPoseSlam<SE2> SmallRun() {
-  Course<SE2> course(kSettings[0], 6, 8);
+  StateCourse<SE2> course(kSettings[0], 6, 8);
   CompactPoseSlam<SE2> slam(course.slam);
   for (const auto& input : course.inputs) slam.AddPose(input, course.replay->AsRegistration());
   EXPECT_GT(slam.LinksKept(), 0);
@@ -405,7 +405,7 @@ TEST(CompactStateErrorTest, NonsenseWithTheRightChecksum) {
   const std::string whole = SavedBytes(SmallRun());
   ASSERT_EQ(testing::WithChecksum(whole), whole);
   const std::size_t members = 8 + 4 + 4 + StateKind<SE2>("compact pose SLAM").size() + 8;
-  Course<SE2> course(kSettings[0], 6, 10);
+  StateCourse<SE2> course(kSettings[0], 6, 10);
   int refused = 0, taken = 0;
   const auto check = [&](const std::string& bytes) {
     const TestFile file("nonsense.state", testing::WithChecksum(bytes));

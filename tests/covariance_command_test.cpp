@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "terse/core/graph_file.h"
+#include "terse/core/pose_values.h"
 #include "testing.h"
 #include "testing_command.h"
 
@@ -16,13 +17,6 @@ using testing::CsvRows;
 using testing::Outcome;
 using testing::Random;
 using testing::RelativeError;
-
-template <class Pose>
-std::vector<Pose> Values(const PoseGraph<Pose>& graph) {
-  std::vector<Pose> values;
-  for (const auto& node : graph.Poses()) values.push_back(*node.T_world_body);
-  return values;
-}
 
 MatrixXd ToMatrix(const nlohmann::json& rows) {
   MatrixXd out(rows.size(), rows.at(0).size());
@@ -82,7 +76,7 @@ class CovarianceCommand : public testing::CommandTest {
     options.id_stride = 7;
     WriteG2o(testing::MakeRandomGraph<Pose>(rng, options).graph, Path("in.g2o"));
     graph_ = ReadAs("in.g2o");
-    Sigma_ = testing::Inverse(testing::MakeDenseSystem(graph_, Values(graph_)).H);
+    Sigma_ = testing::Inverse(testing::MakeDenseSystem(graph_, internal::ValuesOf(graph_)).H);
   }
   PoseGraph<Pose> ReadAs(const std::string& name, const ReadOptions& options = {}) const {
     return std::get<PoseGraph<Pose>>(ReadGraph(Path(name), options).graph);
@@ -270,7 +264,7 @@ TYPED_TEST(CovarianceCommand, EveryStepEqualsTheDenseInverseOfWhatIsKnown) {
           const PoseId last = std::max(ends.first, ends.second);
           if (last == poses[k].id) known.AddFactor(node.factor);
         }
-        const MatrixXd Sigma = testing::Inverse(testing::MakeDenseSystem(known, Values(known)).H);
+        const MatrixXd Sigma = testing::Inverse(testing::MakeDenseSystem(known, internal::ValuesOf(known)).H);
         const MatrixXd M = Convention(*poses[k].T_world_body, choice.frame, choice.order);
         EXPECT_LT(RelativeError(LastCells(rows[k], B), M * Sigma.bottomRightCorner<B, B>() * M.transpose()), 1e-6) << k;
         double position = 0, rotation = 0;

@@ -13,7 +13,7 @@ namespace terse {
 namespace {
 
 using testing::kPi;
-using testing::Random;
+using testing::PoseRandom;
 
 constexpr double kDegrees = 180 / kPi;
 
@@ -24,7 +24,7 @@ struct Pair {
 // A wandering reference and an estimate whose errors are about `translation_m` and `rotation_rad`, the odd
 // quaternion negated.
 Pair RandomPair(int poses, double translation_m, double rotation_rad, unsigned seed) {
-  Random random(seed);
+  PoseRandom random(seed);
   Pair out;
   SE3 T;
   for (int i = 0; i < poses; ++i) {
@@ -109,7 +109,7 @@ TEST(EvaluateTest, RigidTransformationOfTheEstimateChangesNothing) {
   EvaluateOptions options;
   options.kitti = true;
   const Evaluation before = Evaluate(p.estimate, p.reference, options);
-  Random random(52);
+  PoseRandom random(52);
   for (int i = 0; i < 20; ++i) {
     const SE3 A = testing::RandomPose<SE3>(random, 100), B = testing::RandomPose<SE3>(random, 100);
     Pair moved = p;
@@ -136,7 +136,7 @@ double AteOf(const Pair& p, const SE3& A) {
 
 TEST(EvaluateTest, AlignmentRecoversATransformation) {
   Pair p = RandomPair(100, 0, 0, 53);
-  Random random(54);
+  PoseRandom random(54);
   const SE3 A = testing::RandomPose<SE3>(random, 10);
   for (SE3& T : p.estimate) T = A * T;
   EXPECT_LT(Evaluate(p.estimate, p.reference).ate.translation_m, 1e-12);
@@ -150,7 +150,7 @@ TEST(EvaluateTest, AlignmentRecoversATransformation) {
 // No small rigid motion (of those allowed) of the aligned estimate lowers its ATE.
 TEST(EvaluateTest, AlignmentIsTheBestOne) {
   Pair p = RandomPair(100, 0.5, 0.1, 55);
-  Random random(56);
+  PoseRandom random(56);
   const SE3 tilted = testing::RandomPose<SE3>(random, 10);
   const SE3 planar = Lift(SE2(3, -4, 2.5));
   for (const Alignment alignment : {Alignment::kSE3, Alignment::kSE2}) {
@@ -186,7 +186,7 @@ TEST(EvaluateTest, PlanarAlignmentLeavesHeightAndTiltAlone) {
 // Mirrored points: the best orthogonal matrix is a reflection, the best rotation is not.
 TEST(EvaluateTest, AlignmentIsNeverAReflection) {
   Pair p = RandomPair(50, 0, 0, 58);
-  Random random(59);
+  PoseRandom random(59);
   for (SE3& T : p.reference) T = SE3(T.Rotation(), 10 * random.NormalVector<3>());
   for (std::size_t i = 0; i < p.estimate.size(); ++i) {
     p.estimate[i] = SE3(p.reference[i].Rotation(), -p.reference[i].Translation());

@@ -11,7 +11,7 @@
 namespace terse {
 namespace {
 
-using testing::Random;
+using testing::PoseRandom;
 
 struct Pair {
   std::vector<SE3> estimate, reference;
@@ -19,7 +19,7 @@ struct Pair {
 
 // A vehicle that winds ahead along its x axis, up and down a little; the estimate drifts and has noise.
 Pair Drive(unsigned seed, int poses = 300, double drift = 0.002, double noise = 0.02) {
-  Random random(seed);
+  PoseRandom random(seed);
   Pair out;
   SE3 T, T_estimate = testing::RandomPose<SE3>(random, 50);
   const double bias = 0.02 * random.Normal();
@@ -112,7 +112,7 @@ TEST(FrameMismatch, MirrorImages) {
 // Rotations about a line are not determined by the positions on it.
 TEST(FrameMismatch, NothingOfLinesPointsAndFewPoses) {
   Pair line;
-  Random random(6);
+  PoseRandom random(6);
   for (int i = 0; i < 100; ++i) {
     line.reference.emplace_back(SO3(), Vector<3>(i, 0, 0));
     line.estimate.emplace_back(SO3::Exp({1, 0, 0}), Vector<3>(i, 0, 0) + 1e-3 * random.NormalVector<3>());

@@ -23,13 +23,13 @@ namespace {
 
 constexpr double kExact = 1e8;  // 0.1 mm
 
-struct Laps {
+struct FixedLaps {
   PoseGraph<SE3> graph;
   std::vector<SE3> truth;
 };
 
-Laps EllipseLaps(int laps) {
-  Laps out;
+FixedLaps FixedEllipseLaps(int laps) {
+  FixedLaps out;
   GenerateOptions options;
   options.scene = Scene::kEllipseN;
   options.laps = laps;
@@ -43,7 +43,7 @@ Laps EllipseLaps(int laps) {
   return out;
 }
 
-PositionPriorFactor<SE3> Fix(const Laps& laps, std::int64_t id, double information = kExact) {
+PositionPriorFactor<SE3> Fix(const FixedLaps& laps, std::int64_t id, double information = kExact) {
   return {PoseId{id}, laps.truth[static_cast<std::size_t>(id)].Translation(), information * Matrix<3, 3>::Identity()};
 }
 
@@ -66,7 +66,7 @@ double WorstRelative(const PoseMarginals<SE3>& a, const PoseMarginals<SE3>& b, c
 }
 
 TEST(GnssEllipseTest, RelativeCovariancesAgreeWithTheBatchOptimums) {
-  const Laps laps = EllipseLaps(2);
+  const FixedLaps laps = FixedEllipseLaps(2);
   for (const std::vector<std::int64_t>& fixes :
        std::vector<std::vector<std::int64_t>>{{}, {40}, {40, 150}, {40, 100, 200}}) {
     SCOPED_TRACE(std::to_string(fixes.size()) + " fixes");
@@ -85,7 +85,7 @@ TEST(GnssEllipseTest, RelativeCovariancesAgreeWithTheBatchOptimums) {
 }
 
 TEST(GnssEllipseTest, OneExactFixHardlyChangesTheCompactMap) {
-  const Laps laps = EllipseLaps(2);
+  const FixedLaps laps = FixedEllipseLaps(2);
   const Thresholds<SE3> chosen = SelectThresholds(laps.graph).thresholds;
   const auto sizes = [&](const std::vector<std::int64_t>& fixes) {
     PoseGraph<SE3> graph = laps.graph;
@@ -93,7 +93,7 @@ TEST(GnssEllipseTest, OneExactFixHardlyChangesTheCompactMap) {
     GraphReplay<SE3> replay(graph);
     auto options = testing::OptionsFor(replay, Strategy::kFpfl);
     options.thresholds = chosen;
-    auto run = testing::RunCompact(replay, options);
+    auto run = testing::RunReplay(replay, options);
     return std::make_pair(static_cast<double>(run.slam->Solver().Graph().Poses().size()), run.slam->LinksKept());
   };
   const auto without = sizes({});

@@ -130,7 +130,7 @@ TYPED_TEST(GraphReplayTest, UnusualGraphs) {
     ExpectAllOffered(*graph);
     ExpectRangeCovers(*graph);
     for (const Strategy strategy : {Strategy::kApal, Strategy::kApfl, Strategy::kFpfl}) {
-      auto run = testing::RunCompact(*graph, strategy, 0.1, 2);
+      auto run = testing::RunReplay(*graph, strategy, 0.1, 2);
       EXPECT_EQ(run.slam->Trajectory().size(), 12u);
       EXPECT_TRUE(run.slam->Finish().Converged());
       if (strategy == Strategy::kApal) {

@@ -28,7 +28,7 @@ PoseId IdOf(int index) { return {100 - 2 * index}; }
 template <class Pose>
 Problem<Pose> RandomProblem(unsigned seed, double sigma) {
   constexpr int kPoses = 40;
-  testing::Random random(seed);
+  testing::PoseRandom random(seed);
   Problem<Pose> out;
   for (int i = 0; i < kPoses; ++i) {
     out.graph.AddPose(IdOf(i));
@@ -130,7 +130,7 @@ TYPED_TEST(InitialValuesTest, ChordalIsBelowComposeAndStationaryInTranslation) {
     EXPECT_LT(chi2, Chi2(graph.WithPoses(ComputeInitialValues(graph, InitialValues::kCompose))));
     EXPECT_LT(chi2, Chi2(graph.WithPoses(ComputeInitialValues(graph, InitialValues::kTree))));
     // Moving any one translation raises chi2, as the translations minimise it given the rotations.
-    testing::Random random(seed);
+    testing::PoseRandom random(seed);
     for (int trial = 0; trial < 10; ++trial) {
       std::vector<Pose> moved = chordal;
       typename Pose::Tangent d = Pose::Tangent::Zero();

@@ -17,7 +17,7 @@ namespace {
 
 using testing::NormalVector;
 using testing::Random;
-using testing::RunCompact;
+using testing::RunReplay;
 
 template <class Pose>
 class InnovationTest : public ::testing::Test {
@@ -123,7 +123,7 @@ TYPED_TEST(InnovationTest, DoesNotDependOnTheDirection) {
 using Link = std::pair<std::int64_t, std::int64_t>;
 
 template <class Pose>
-std::set<Link> Accepted(const testing::CompactRun<Pose>& run) {
+std::set<Link> Accepted(const testing::ReplayedRun<Pose>& run) {
   std::set<Link> out;
   for (const Decision& d : run.decisions) {
     for (const Candidate& c : d.candidates) {
@@ -149,7 +149,7 @@ void ExpectWrongLoopsRefused(const testing::RandomGraph<Pose>& scene, double per
   options.thresholds.min_pose_gain = 3;
   options.thresholds.range.setConstant(1000);  // wrong loops come from anywhere
   options.thresholds.link_covariance = clean.LinkCovariance();
-  const auto without = RunCompact(clean, options), with = RunCompact(dirty, options);
+  const auto without = RunReplay(clean, options), with = RunReplay(dirty, options);
   const std::set<Link> good = Accepted(without), taken = Accepted(with);
   ASSERT_GT(good.size(), 20u);
   int refused = 0, refused_true = 0;
@@ -193,7 +193,7 @@ TEST(InnovationScenes, WithoutTheTestWrongLoopsAreTaken) {
   auto options = testing::OptionsFor(replay, Strategy::kApfl);
   options.thresholds.range.setConstant(1000);
   options.innovation_quantile.reset();
-  const auto run = RunCompact(replay, options);
+  const auto run = RunReplay(replay, options);
   for (const Decision& d : run.decisions) {
     EXPECT_EQ(d.links_refused, 0);
     for (const Candidate& c : d.candidates) EXPECT_FALSE(c.outlier || c.innovation);
@@ -209,8 +209,8 @@ TEST(InnovationScenes, WithoutTheTestWrongLoopsAreTaken) {
 
 // Poses about 1 m apart on a bent course, of which every third is kept; odometry is exact.
 template <class Pose>
-struct Course {
-  explicit Course(int poses, std::optional<double> quantile = 0.9999) : slam(Options(quantile)) {
+struct InnovationCourse {
+  explicit InnovationCourse(int poses, std::optional<double> quantile = 0.9999) : slam(Options(quantile)) {
     Random rng(11);
     for (int k = 0; k < poses; ++k) {
       CompactInput<Pose> input;
@@ -254,13 +254,13 @@ struct Course {
 
 // T_kept_kept through the odometry in between, with the errors of every part by differences.
 template <class Pose>
-UncertainPose<Pose> CarriedByHand(const Course<Pose>& course, const RelativePoseFactor<Pose>& link) {
+UncertainPose<Pose> CarriedByHand(const InnovationCourse<Pose>& course, const RelativePoseFactor<Pose>& link) {
   using Tangent = typename Pose::Tangent;
   const int from = static_cast<int>(link.from.value / 10), to = static_cast<int>(link.to.value / 10);
   std::vector<std::pair<Pose, typename Pose::Jacobian>> parts;
   std::vector<bool> is_inverse;
   const auto add = [&](const RelativePoseFactor<Pose>& f, bool inverse) {
-    parts.emplace_back(f.T_from_to, Course<Pose>::Inverse(f.information));
+    parts.emplace_back(f.T_from_to, InnovationCourse<Pose>::Inverse(f.information));
     is_inverse.push_back(inverse);
   };
   for (int k = from / 3 * 3; k < from; ++k) add(course.odometry[static_cast<std::size_t>(k)], false);
@@ -292,7 +292,7 @@ UncertainPose<Pose> CarriedByHand(const Course<Pose>& course, const RelativePose
 
 TYPED_TEST(InnovationTest, LinksAreCarriedToKeptPoses) {
   using Pose = TypeParam;
-  const Course<Pose> course(24);
+  const InnovationCourse<Pose> course(24);
   for (const auto& [from, to] :
        {std::pair(0, 21), std::pair(4, 15), std::pair(3, 17), std::pair(20, 2), std::pair(23, 23 - 7)}) {
     SCOPED_TRACE(std::to_string(from) + " to " + std::to_string(to));
@@ -303,7 +303,7 @@ TYPED_TEST(InnovationTest, LinksAreCarriedToKeptPoses) {
     EXPECT_EQ(carried.to, PoseId{to / 3 * 30});
     const auto expected = CarriedByHand(course, link);
     EXPECT_LT(testing::Distance(carried.T_from_to, expected.T_a_b), 1e-9);
-    EXPECT_LT(testing::RelativeError(Course<Pose>::Inverse(carried.information), expected.covariance), 1e-5);
+    EXPECT_LT(testing::RelativeError(InnovationCourse<Pose>::Inverse(carried.information), expected.covariance), 1e-5);
     if (from % 3 == 0 && to % 3 == 0) {
       EXPECT_EQ(carried.information, link.information) << "nothing to carry";
     }
@@ -329,7 +329,7 @@ void ExpectOptimal(const CompactPoseSlam<Pose>& slam, const PoseGraph<Pose>& gra
 
 TYPED_TEST(InnovationTest, LateLinksEnterTheMapAndLeaveIt) {
   using Pose = TypeParam;
-  Course<Pose> course(30, std::nullopt);
+  InnovationCourse<Pose> course(30, std::nullopt);
   const PoseGraph<Pose> without = course.slam.Solver().Graph();
   const double log_determinant = course.slam.Solver().LogDeterminant();
   // A good one to a dropped pose, and a wrong one, which nothing tests.
@@ -363,7 +363,7 @@ TYPED_TEST(InnovationTest, LateLinksEnterTheMapAndLeaveIt) {
 
 TYPED_TEST(InnovationTest, LateLinksAreTested) {
   using Pose = TypeParam;
-  Course<Pose> course(30);
+  InnovationCourse<Pose> course(30);
   const std::size_t factors = course.slam.Solver().Graph().Factors().size();
   // Off by far more than what odometry over 24 poses can be wrong by.
   auto wrong = course.Exact(0, 24);
@@ -388,7 +388,7 @@ TYPED_TEST(InnovationTest, LateLinksAreTested) {
 }
 
 TYPED_TEST(InnovationTest, WhatIsNoLinkCannotBeRemoved) {
-  Course<TypeParam> course(12);
+  InnovationCourse<TypeParam> course(12);
   const auto link = course.slam.AddLink(course.Exact(0, 10));
   ASSERT_TRUE(link.accepted);
   const double chi2 = course.slam.Solver().Chi2(), log_determinant = course.slam.Solver().LogDeterminant();

@@ -17,14 +17,14 @@ namespace {
 
 using testing::JacobianMatches;
 using testing::kPi;
-using testing::Random;
+using testing::PoseRandom;
 
 constexpr int kCases = 10000;
 
 // One interface over the three groups: tangents, matrices and the generator matrices of their algebra.
 struct RotationGroup {
   using T = SO3;
-  static SO3::Tangent RandomTangent(Random& random) { return random.RotationVector(random.Angle()); }
+  static SO3::Tangent RandomTangent(PoseRandom& random) { return random.RotationVector(random.Angle()); }
   static Eigen::Matrix3d Wedge(const SO3::Tangent& d) { return Hat(d); }
   static Eigen::Matrix3d Small(const SO3::Tangent& d) { return Hat(d); }  // ad
   static Eigen::Matrix3d AsMatrix(const SO3& T) { return T.Rotation(); }
@@ -32,7 +32,7 @@ struct RotationGroup {
 
 struct PlaneGroup {
   using T = SE2;
-  static SE2::Tangent RandomTangent(Random& random) { return testing::RandomTangent<SE2>(random, 3); }
+  static SE2::Tangent RandomTangent(PoseRandom& random) { return testing::RandomTangent<SE2>(random, 3); }
   static Eigen::Matrix3d Wedge(const SE2::Tangent& d) {
     Eigen::Matrix3d M;
     M << 0, -d[2], d[0], d[2], 0, d[1], 0, 0, 0;
@@ -53,7 +53,7 @@ struct PlaneGroup {
 
 struct SpaceGroup {
   using T = SE3;
-  static SE3::Tangent RandomTangent(Random& random) { return testing::RandomTangent<SE3>(random, 3); }
+  static SE3::Tangent RandomTangent(PoseRandom& random) { return testing::RandomTangent<SE3>(random, 3); }
   static Eigen::Matrix4d Wedge(const SE3::Tangent& d) {
     Eigen::Matrix4d M = Eigen::Matrix4d::Zero();
     M.topLeftCorner<3, 3>() = Hat(d.tail<3>());
@@ -102,7 +102,7 @@ TYPED_TEST_SUITE(LieTest, Groups);
 constexpr double kRounding = 2e-13;
 
 TYPED_TEST(LieTest, ExpIsTheMatrixExponential) {
-  Random random(1);
+  PoseRandom random(1);
   for (int i = 0; i < kCases; ++i) {
     const auto d = TypeParam::RandomTangent(random);
     const auto expected = PowerSeries(TypeParam::Wedge(d), 0);
@@ -111,7 +111,7 @@ TYPED_TEST(LieTest, ExpIsTheMatrixExponential) {
 }
 
 TYPED_TEST(LieTest, LogInvertsExp) {
-  Random random(2);
+  PoseRandom random(2);
   for (int i = 0; i < kCases; ++i) {
     const auto d = TypeParam::RandomTangent(random);
     const auto T = TypeParam::T::Exp(d);
@@ -121,7 +121,7 @@ TYPED_TEST(LieTest, LogInvertsExp) {
 }
 
 TYPED_TEST(LieTest, LogKeepsTheRelativeAccuracyOfSmallRotations) {
-  Random random(3);
+  PoseRandom random(3);
   for (int i = 0; i < kCases; ++i) {
     auto d = TypeParam::RandomTangent(random);
     d *= random.LogUniform(1e-290, 1e-3);
@@ -131,7 +131,7 @@ TYPED_TEST(LieTest, LogKeepsTheRelativeAccuracyOfSmallRotations) {
 }
 
 TYPED_TEST(LieTest, CompositionAndInverseAreThoseOfMatrices) {
-  Random random(4);
+  PoseRandom random(4);
   for (int i = 0; i < kCases; ++i) {
     const auto A = TypeParam::T::Exp(TypeParam::RandomTangent(random));
     const auto B = TypeParam::T::Exp(TypeParam::RandomTangent(random));
@@ -144,7 +144,7 @@ TYPED_TEST(LieTest, CompositionAndInverseAreThoseOfMatrices) {
 }
 
 TYPED_TEST(LieTest, AdjointMovesATangentAcross) {
-  Random random(5);
+  PoseRandom random(5);
   for (int i = 0; i < kCases; ++i) {
     const auto T = TypeParam::T::Exp(TypeParam::RandomTangent(random));
     const auto d = TypeParam::RandomTangent(random);
@@ -156,7 +156,7 @@ TYPED_TEST(LieTest, AdjointMovesATangentAcross) {
 }
 
 TYPED_TEST(LieTest, LeftJacobianIsItsPowerSeries) {
-  Random random(6);
+  PoseRandom random(6);
   for (int i = 0; i < kCases; ++i) {
     const auto d = TypeParam::RandomTangent(random);
     using J = typename TypeParam::T::Jacobian;
@@ -168,7 +168,7 @@ TYPED_TEST(LieTest, LeftJacobianIsItsPowerSeries) {
 }
 
 TYPED_TEST(LieTest, RightJacobianMirrorsTheLeft) {
-  Random random(7);
+  PoseRandom random(7);
   for (int i = 0; i < kCases; ++i) {
     const auto d = TypeParam::RandomTangent(random);
     using J = typename TypeParam::T::Jacobian;
@@ -181,7 +181,7 @@ TYPED_TEST(LieTest, RightJacobianMirrorsTheLeft) {
 }
 
 TYPED_TEST(LieTest, JacobiansMatchCentralDifferences) {
-  Random random(8);
+  PoseRandom random(8);
   using T = typename TypeParam::T;
   using Tangent = typename T::Tangent;
   for (int i = 0; i < kCases; ++i) {
@@ -196,7 +196,7 @@ TYPED_TEST(LieTest, JacobiansMatchCentralDifferences) {
 }
 
 TYPED_TEST(LieTest, InverseJacobiansMatchCentralDifferences) {
-  Random random(9);
+  PoseRandom random(9);
   using T = typename TypeParam::T;
   using Tangent = typename T::Tangent;
   for (int i = 0; i < kCases; ++i) {
@@ -284,7 +284,7 @@ TEST(SO3Test, LogAgreesOnBothSidesOfItsThreshold) {
 }
 
 TEST(SO3Test, NegatedQuaternionIsTheSameRotation) {
-  Random random(10);
+  PoseRandom random(10);
   for (int i = 0; i < kCases; ++i) {
     const SO3 R = SO3::Exp(random.RotationVector(random.Angle()));
     const SO3 negated(Quaternion(-R.Unit().coeffs()));
@@ -310,7 +310,7 @@ TEST(SO3Test, HalfTurns) {
 }
 
 TEST(SO3Test, FromMatrixInvertsRotation) {
-  Random random(11);
+  PoseRandom random(11);
   for (int i = 0; i < kCases; ++i) {
     const SO3 R = SO3::Exp(random.RotationVector(random.Angle()));
     // The matrix holds w as a difference, or the vector part as one: accurate to rounding, not better.
@@ -321,7 +321,7 @@ TEST(SO3Test, FromMatrixInvertsRotation) {
 }
 
 TEST(SO3Test, NormalizeIsIdempotentToTheBit) {
-  Random random(12);
+  PoseRandom random(12);
   for (int i = 0; i < 100 * kCases; ++i) {
     const double size = i % 2 == 0 ? random.LogUniform(1e-3, 1e3) : 1 + 1e-15 * random.Normal();
     Quaternion q(random.Normal(), random.Normal(), random.Normal(), random.Normal());
@@ -343,7 +343,7 @@ TEST(SO3Test, NormalizeChangesOnlyWhatIsOff) {
 }
 
 TEST(SO3Test, LongProductsStayUnit) {
-  Random random(13);
+  PoseRandom random(13);
   SO3 R;
   const SO3 step = SO3::Exp(random.RotationVector(0.1));
   for (int i = 0; i < 1000000; ++i) R = R * step;
@@ -359,7 +359,7 @@ TEST(SE2Test, WrapAngle) {
   EXPECT_NEAR(WrapAngle(1 + 2 * kPi), 1, 1e-15);
   EXPECT_NEAR(WrapAngle(-1 - 20 * kPi), -1, 1e-14);
   EXPECT_TRUE(std::isnan(WrapAngle(std::numeric_limits<double>::infinity())));
-  Random random(14);
+  PoseRandom random(14);
   for (int i = 0; i < kCases; ++i) {
     const double angle = random.Sign() * random.LogUniform(1e-3, 1e6), wrapped = WrapAngle(angle);
     ASSERT_GT(wrapped, -kPi);
@@ -371,7 +371,7 @@ TEST(SE2Test, WrapAngle) {
 }
 
 TEST(SE2Test, NormalizeIsIdempotentToTheBit) {
-  Random random(15);
+  PoseRandom random(15);
   for (int i = 0; i < kCases; ++i) {
     const SE2 T(random.Normal(), random.Normal(), 100 * random.Normal());
     SE2 normalized = T;
@@ -388,7 +388,7 @@ using Poses = ::testing::Types<SE2, SE3>;
 TYPED_TEST_SUITE(ChartTest, Poses);
 
 TYPED_TEST(ChartTest, RetractAndLocalAreInverse) {
-  Random random(16);
+  PoseRandom random(16);
   for (int i = 0; i < kCases; ++i) {
     const auto T = testing::RandomPose<TypeParam>(random, 3);
     const auto d = testing::RandomTangent<TypeParam>(random, 3);
@@ -401,7 +401,7 @@ TYPED_TEST(ChartTest, RetractAndLocalAreInverse) {
 }
 
 TYPED_TEST(ChartTest, LocalJacobianMatchesCentralDifferences) {
-  Random random(17);
+  PoseRandom random(17);
   for (int i = 0; i < kCases; ++i) {
     const typename TypeParam::Tangent r = testing::RandomTangent<TypeParam>(random, 3);
     const TypeParam E = TypeParam().Retract(r);

@@ -25,21 +25,21 @@ using testing::Random;
 constexpr SparsifyCriterion kGreedy[] = {SparsifyCriterion::kPosition, SparsifyCriterion::kInformation};
 
 template <class Pose>
-struct Scene {
+struct ChoiceScene {
   PoseGraph<Pose> graph;
   std::vector<Pose> values;
   LinkSystem<Pose> system;
 };
 
 template <class Pose>
-Scene<Pose> MakeScene(std::uint64_t seed, int poses, double loops_per_pose, bool priors = false,
+ChoiceScene<Pose> MakeScene(std::uint64_t seed, int poses, double loops_per_pose, bool priors = false,
                       FixedEdges fixed = FixedEdges::kOdometry) {
   Random rng(seed);
   testing::RandomGraphOptions options;
   options.poses = poses;
   options.loops_per_pose = loops_per_pose;
   options.priors = priors;
-  Scene<Pose> scene;
+  ChoiceScene<Pose> scene;
   scene.graph = testing::MakeRandomGraph<Pose>(rng, options).graph;
   scene.values = SolveBatch(scene.graph).T_world_body;
   scene.system = internal::MakeLinkSystem(scene.graph, scene.values, fixed);

@@ -63,7 +63,7 @@ TEST(LogTest, SilentByDefault) {
   ::testing::internal::CaptureStderr();
   SolveBatch(scene.graph, ComputeInitialValues(scene.graph, InitialValues::kCompose));
   GraphReplay<SE3> replay(scene.graph);
-  testing::RunCompact(replay, testing::OptionsFor(replay, Strategy::kFpfl)).slam->Finish();
+  testing::RunReplay(replay, testing::OptionsFor(replay, Strategy::kFpfl)).slam->Finish();
   EXPECT_EQ(::testing::internal::GetCapturedStdout() + ::testing::internal::GetCapturedStderr(), "");
 }
 
@@ -150,7 +150,7 @@ TEST(LogTest, CompactSaysTheGainOfADroppedPose) {
   GraphReplay<SE3> replay(scene.graph);
   auto options = testing::OptionsFor(replay, Strategy::kFpfl);
   options.log = recorder.Sink();
-  const auto run = testing::RunCompact(replay, options);
+  const auto run = testing::RunReplay(replay, options);
   int dropped = 0;
   for (const Decision& decision : run.decisions) dropped += !decision.Kept();
   ASSERT_GT(dropped, 0);
@@ -168,7 +168,7 @@ TEST(LogTest, LeavesStateAndResultAsTheyAre) {
     GraphReplay<SE3> replay(scene.graph);
     auto options = testing::OptionsFor(replay, Strategy::kFpfl);
     options.log = sink;
-    const auto run = testing::RunCompact(replay, options);
+    const auto run = testing::RunReplay(replay, options);
     const TestFile file("log.state", "");
     run.slam->Save(file.Path());
     CompactPoseSlam<SE3> loaded = CompactPoseSlam<SE3>::Load(file.Path(), sink);

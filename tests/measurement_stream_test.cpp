@@ -85,7 +85,7 @@ void ExpectSameAsReplay(Scene scene, Strategy strategy) {
   GraphReplay<Pose> replay(graph);
   CompactOptions<Pose> options = OptionsFor(replay, strategy);
   options.thresholds.min_pose_gain = 0;
-  const CompactRun<Pose> replayed = RunCompact(replay, options);
+  const ReplayedRun<Pose> replayed = RunReplay(replay, options);
   StreamRun<Pose> streamed(options);
   streamed.AddAll(graph);
   ASSERT_EQ(streamed.decisions.size(), replayed.decisions.size());

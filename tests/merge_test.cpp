@@ -22,7 +22,6 @@
 namespace terse {
 namespace {
 
-using internal::Random;
 
 std::size_t At(std::int64_t i) { return static_cast<std::size_t>(i); }
 
@@ -78,7 +77,7 @@ MergeOptions<Pose> KeepAll() {
 
 // A link of a right one's information that leads anywhere.
 template <class Pose>
-MapLink<Pose> WrongLink(const MapLink<Pose>& like, int size, Random& rng) {
+MapLink<Pose> WrongLink(const MapLink<Pose>& like, int size, internal::Random& rng) {
   MapLink<Pose> wrong = like;
   const auto any = [&] { return static_cast<std::int64_t>(rng.Uniform() * size); };
   wrong.measured.from = {any()};
@@ -130,7 +129,7 @@ TYPED_TEST(MergeTest, WrongLinksStayOutAloneAndInGroups) {
   using Pose = TypeParam;
   for (const unsigned seed : {2u, 3u, 4u}) {
     auto split = SplitScene<Pose>(seed, 3);
-    Random rng(seed);
+    internal::Random rng(seed);
     std::vector<MapLink<Pose>> links = split.links;
     std::set<std::size_t> wrong;
     const auto add = [&](const MapLink<Pose>& link) {
@@ -268,7 +267,7 @@ TYPED_TEST(MergeTest, IdsAreMovedAsIsSaid) {
 TYPED_TEST(MergeTest, AMapThatNothingHoldsStaysApartAndNoTwoThatAgreeAreAnError) {
   using Pose = TypeParam;
   auto split = SplitScene<Pose>(6, 3);
-  Random rng(6);
+  internal::Random rng(6);
   std::vector<MapLink<Pose>> links;
   for (const auto& link : split.links) {
     if (link.to_map == 2 || link.from_map == 2) continue;
@@ -316,7 +315,7 @@ TYPED_TEST(MergeTest, WhatIsGivenWrongIsRefused) {
 TYPED_TEST(MergeTest, AbsoluteMeasurementsTakeThePlaceOfLinks) {
   using Pose = TypeParam;
   auto split = SplitScene<Pose>(8);
-  Random rng(8);
+  internal::Random rng(8);
   std::vector<MapToMerge<Pose>> maps;
   for (int k = 0; k < 2; ++k) {
     PoseGraph<Pose> graph = split.graphs[At(k)];
@@ -445,7 +444,7 @@ bool IsClique(const std::vector<std::vector<char>>& agrees, const std::vector<in
 }
 
 TEST(LargeClique, IsOneAndFindsWhatIsPlantedAmongChance) {
-  Random rng(11);
+  internal::Random rng(11);
   for (int trial = 0; trial < 30; ++trial) {
     const int n = 60, planted = 12;
     std::vector<std::vector<char>> agrees(60, std::vector<char>(60, 0));
@@ -462,7 +461,7 @@ TEST(LargeClique, IsOneAndFindsWhatIsPlantedAmongChance) {
 }
 
 TEST(LargeClique, IsTheLargestOfSmallGraphsNearlyAlways) {
-  Random rng(12);
+  internal::Random rng(12);
   int largest = 0;
   for (int trial = 0; trial < 100; ++trial) {
     const int n = 10;

@@ -11,11 +11,11 @@ namespace terse {
 namespace {
 
 using testing::kKittiLike;
-using testing::Random;
+using testing::PoseRandom;
 
 // Five frames a metre apart, `count` points that all of them see; `offset` is missing from every u_R.
 std::vector<WindowPoint> Points(const std::vector<SE3>& T_world_camera, int count, double noise, double offset,
-                                Random& rng) {
+                                PoseRandom& rng) {
   std::vector<WindowPoint> points;
   while (static_cast<int>(points.size()) < count) {
     const double z = rng.LogUniform(8, 50);
@@ -38,7 +38,7 @@ std::vector<SE3> Poses() {
 }
 
 TEST(MotionWindow, RecoversPosesAndHoldsTheFirst) {
-  Random rng(1);
+  PoseRandom rng(1);
   const std::vector<SE3> truth = Poses();
   const auto points = Points(truth, 100, 0, 0, rng);
   for (const int fixed : {1, 3}) {
@@ -57,7 +57,7 @@ TEST(MotionWindow, RecoversPosesAndHoldsTheFirst) {
 }
 
 TEST(MotionWindow, FindsTheOffsetOfTheDisparities) {
-  Random rng(2);
+  PoseRandom rng(2);
   const std::vector<SE3> truth = Poses();
   double sum = 0, information = 0;
   WindowOptions options;

@@ -10,6 +10,7 @@
 #include "terse/compact/marginal_divergence.h"
 #include "terse/compact/pose_removal.h"
 #include "terse/core/batch_solver.h"
+#include "terse/core/pose_values.h"
 #include "testing.h"
 
 namespace terse {
@@ -25,13 +26,6 @@ using testing::Random;
 constexpr RecoveredFactors kEvery[] = {RecoveredFactors::kTree, RecoveredFactors::kSubgraph, RecoveredFactors::kDense};
 
 template <class Pose>
-std::vector<Pose> ValuesOf(const PoseGraph<Pose>& graph) {
-  std::vector<Pose> values;
-  for (const auto& node : graph.Poses()) values.push_back(*node.T_world_body);
-  return values;
-}
-
-template <class Pose>
 std::vector<PoseId> IdsOf(const PoseGraph<Pose>& graph) {
   std::vector<PoseId> ids;
   for (const auto& node : graph.Poses()) ids.push_back(node.id);
@@ -44,12 +38,12 @@ PoseGraph<Pose> Solved(std::uint64_t seed, testing::RandomGraphOptions options) 
   Random rng(seed);
   PoseGraph<Pose> graph = testing::MakeRandomGraph<Pose>(rng, options).graph;
   // To rounding: one run ends when chi2 falls no more.
-  for (int again = 0; again < 3; ++again) graph.SetPoses(SolveBatch(graph, ValuesOf(graph)).T_world_body);
+  for (int again = 0; again < 3; ++again) graph.SetPoses(SolveBatch(graph, internal::ValuesOf(graph)).T_world_body);
   return graph;
 }
 
 template <class Pose>
-PoseGraph<Pose> Scene(std::uint64_t seed, double loops_per_pose = 1.2, int poses = 16) {
+PoseGraph<Pose> CliqueScene(std::uint64_t seed, double loops_per_pose = 1.2, int poses = 16) {
   testing::RandomGraphOptions options;
   options.poses = poses;
   options.loops_per_pose = loops_per_pose;
@@ -67,7 +61,7 @@ struct Held {
 template <class Pose>
 Held HeldSystem(const PoseGraph<Pose>& graph) {
   constexpr int B = Pose::kDof;
-  const auto system = testing::MakeDenseSystem(graph, ValuesOf(graph));
+  const auto system = testing::MakeDenseSystem(graph, internal::ValuesOf(graph));
   const Eigen::Index n = system.H.rows() - B;
   return {system.H.bottomRightCorner(n, n), system.b.tail(n)};
 }
@@ -192,7 +186,7 @@ TYPED_TEST(PoseEliminationTest, LosesNothingBetweenTwoNeighbours) {
   using Pose = TypeParam;
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
     SCOPED_TRACE(seed);
-    const PoseGraph<Pose> graph = Scene<Pose>(seed, 0.2, 24);
+    const PoseGraph<Pose> graph = CliqueScene<Pose>(seed, 0.2, 24);
     EliminationOptions options;
     options.most_neighbours = 2;
     const Elimination<Pose> out = EliminatePoses(graph, options);
@@ -211,7 +205,7 @@ TYPED_TEST(PoseEliminationTest, LosesNothingBetweenTwoNeighbours) {
 TYPED_TEST(PoseEliminationTest, KeepsTheOptimumAndStatesTheLoss) {
   using Pose = TypeParam;
   for (std::uint64_t seed = 1; seed <= 6; ++seed) {
-    const PoseGraph<Pose> graph = Scene<Pose>(seed);
+    const PoseGraph<Pose> graph = CliqueScene<Pose>(seed);
     const PoseId pose = Busiest(graph);
     std::set<PoseId> neighbours = NeighboursOf(graph, pose), clique = neighbours;
     clique.insert(pose);
@@ -248,7 +242,7 @@ TYPED_TEST(PoseEliminationTest, KeepsTheOptimumAndStatesTheLoss) {
 TYPED_TEST(PoseEliminationTest, DivergenceIsThatOfTheMarginal) {
   using Pose = TypeParam;
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
-    const PoseGraph<Pose> graph = Scene<Pose>(seed, 1.2, 20);
+    const PoseGraph<Pose> graph = CliqueScene<Pose>(seed, 1.2, 20);
     for (const RecoveredFactors recovered : kEvery) {
       EliminationOptions options;
       options.recovered = recovered;
@@ -256,9 +250,9 @@ TYPED_TEST(PoseEliminationTest, DivergenceIsThatOfTheMarginal) {
       const PoseGraph<Pose> fewer = EliminatePoses(graph, options).graph;
       ASSERT_LT(fewer.Poses().size(), 18u);
       const double expected = Divergence(Marginal(graph, IdsOf(fewer)).H, HeldSystem(fewer).H);
-      EXPECT_NEAR(internal::DivergenceFromMarginal(graph, ValuesOf(graph), fewer), expected, 1e-6 * (1 + expected));
+      EXPECT_NEAR(internal::DivergenceFromMarginal(graph, internal::ValuesOf(graph), fewer), expected, 1e-6 * (1 + expected));
     }
-    EXPECT_NEAR(internal::DivergenceFromMarginal(graph, ValuesOf(graph), graph), 0, 1e-7);
+    EXPECT_NEAR(internal::DivergenceFromMarginal(graph, internal::ValuesOf(graph), graph), 0, 1e-7);
   }
 }
 
@@ -268,7 +262,7 @@ TYPED_TEST(PoseEliminationTest, LosesLessWithMoreFactors) {
   std::size_t factors[3] = {};
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     SCOPED_TRACE(seed);
-    const PoseGraph<Pose> graph = Scene<Pose>(seed, 1.5, 12);
+    const PoseGraph<Pose> graph = CliqueScene<Pose>(seed, 1.5, 12);
     const PoseId pose = Busiest(graph);
     for (std::size_t k = 0; k < 3; ++k) {
       EliminationOptions options;
@@ -302,7 +296,7 @@ TYPED_TEST(PoseEliminationTest, IsNeverWorseThanChowLiu) {
   using Pose = TypeParam;
   for (std::uint64_t seed = 1; seed <= 10; ++seed) {
     SCOPED_TRACE(seed);
-    const PoseGraph<Pose> graph = Scene<Pose>(seed, 1.5, 12);
+    const PoseGraph<Pose> graph = CliqueScene<Pose>(seed, 1.5, 12);
     const PoseId pose = Busiest(graph);
     const std::set<PoseId> neighbours = NeighboursOf(graph, pose);
     std::set<PoseId> clique = neighbours;
@@ -320,7 +314,7 @@ TYPED_TEST(PoseEliminationTest, IsNeverWorseThanChowLiu) {
 TYPED_TEST(PoseEliminationTest, ConservativeIsNeverSurerThanTheWholeGraph) {
   using Pose = TypeParam;
   for (const std::uint64_t seed : testing::Seeds(1, 4)) {
-    const PoseGraph<Pose> graph = Scene<Pose>(seed, 0.8, 24);
+    const PoseGraph<Pose> graph = CliqueScene<Pose>(seed, 0.8, 24);
     for (const RecoveredFactors recovered : kEvery) {
       SCOPED_TRACE(std::to_string(seed) + " " + std::to_string(static_cast<int>(recovered)));
       EliminationOptions options;
@@ -408,7 +402,7 @@ TYPED_TEST(PoseEliminationTest, NamesWhatItKeepsAndWhatItMakes) {
 
 TYPED_TEST(PoseEliminationTest, EndsWhereItIsTold) {
   using Pose = TypeParam;
-  const PoseGraph<Pose> graph = Scene<Pose>(2, 0.6, 24);
+  const PoseGraph<Pose> graph = CliqueScene<Pose>(2, 0.6, 24);
   EliminationOptions options;
   options.least_kept = 15;
   const Elimination<Pose> whole = EliminatePoses(graph, options);

@@ -21,8 +21,8 @@ constexpr double kDegree = M_PI / 180;
 // A winding road, a metre per pose; odometry with 3 cm and half a degree per step, systematic or at random, and fixes
 // with 1 m.
 template <class Pose>
-struct Drive {
-  Drive(std::uint64_t seed, bool systematic) {
+struct StartDrive {
+  StartDrive(std::uint64_t seed, bool systematic) {
     constexpr int B = Pose::kDof, D = Pose::kDim;
     testing::Random rng(seed);
     Vector<B> sigma = Vector<B>::Constant(0.03);
@@ -62,7 +62,7 @@ TYPED_TEST(PositionStartTest, OptimisationConvergesFromTheComposedStart) {
   for (const bool systematic : {false, true}) {
     for (std::uint64_t seed = 1; seed <= 2; ++seed) {
       SCOPED_TRACE((systematic ? "systematic " : "random ") + std::to_string(seed));
-      const Drive<Pose> drive(seed, systematic);
+      const StartDrive<Pose> drive(seed, systematic);
       const auto start = ComputeInitialValues(drive.graph, InitialValues::kCompose);
       const auto result = SolveBatch(drive.graph, start);
       const auto best = SolveBatch(drive.graph, drive.truth);
@@ -78,7 +78,7 @@ TYPED_TEST(PositionStartTest, OptimisationConvergesFromTheComposedStart) {
 
 TYPED_TEST(PositionStartTest, TheLeastChi2Wins) {
   using Pose = TypeParam;
-  const Drive<Pose> drive(3, true);
+  const StartDrive<Pose> drive(3, true);
   std::vector<int> order(kPoses);
   for (int k = 0; k < kPoses; ++k) order[std::size_t(k)] = k;
   std::vector<Pose> values = drive.truth;
@@ -95,7 +95,7 @@ TYPED_TEST(PositionStartTest, TheLeastChi2Wins) {
 // FIX holds its pose where it is, whatever the stretches do.
 TYPED_TEST(PositionStartTest, AFixedPoseKeepsItsValue) {
   using Pose = TypeParam;
-  Drive<Pose> drive(4, true);
+  StartDrive<Pose> drive(4, true);
   drive.graph.SetFixed(PoseId{0}, true);
   const auto start = ComputeInitialValues(drive.graph, InitialValues::kCompose);
   EXPECT_EQ(start[0].Local(Pose()).norm(), 0);

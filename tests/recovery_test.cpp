@@ -8,7 +8,7 @@ namespace terse {
 namespace {
 
 using testing::Random;
-using testing::RunCompact;
+using testing::RunReplay;
 
 template <class Pose>
 class RecoveryTest : public ::testing::Test {};
@@ -25,7 +25,7 @@ int Dropped(const CompactPoseSlam<Pose>& slam) {
 template <class Pose>
 void ExpectExactWithoutNoise(const testing::RandomGraph<Pose>& scene, double min_pose_gain) {
   const auto graph = testing::WithoutNoise(scene);
-  auto run = RunCompact(graph, Strategy::kFpfl, 0.1, min_pose_gain);
+  auto run = RunReplay(graph, Strategy::kFpfl, 0.1, min_pose_gain);
   ASSERT_GT(Dropped(*run.slam), 2);
   ASSERT_GT(run.slam->LinksKept(), 0);
   for (const Recovery recovery : kAll) {
@@ -67,7 +67,7 @@ void ExpectOrderOfErrors(Scene kind, long poses, double min_pose_gain) {
   int dropped = 0;
   for (std::uint64_t seed = 1; seed <= 8; ++seed) {
     const auto scene = testing::MakeScene<Pose>(kind, poses, seed);
-    auto run = RunCompact(scene.graph, Strategy::kFpfl, 0.5, min_pose_gain);
+    auto run = RunReplay(scene.graph, Strategy::kFpfl, 0.5, min_pose_gain);
     run.slam->Finish();
     dropped += Dropped(*run.slam);
     for (std::size_t r = 0; r < 3; ++r) error[r] += MeanError(run.slam->Trajectory(kAll[r]), scene);
@@ -90,7 +90,7 @@ TYPED_TEST(RecoveryTest, KeptPosesAreTheSameInAllAndPosesAreInOrderOfArrival) {
   GraphReplay<TypeParam> replay(random.graph);
   auto compact = testing::OptionsFor(replay, Strategy::kFpfl);
   compact.thresholds.min_pose_gain = 3;
-  const auto run = RunCompact(replay, compact);
+  const auto run = RunReplay(replay, compact);
   ASSERT_GT(Dropped(*run.slam), 5);
   const auto v0 = run.slam->Trajectory(Recovery::kV0), v1 = run.slam->Trajectory(Recovery::kV1),
              v2 = run.slam->Trajectory();

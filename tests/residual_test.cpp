@@ -12,7 +12,7 @@ namespace {
 
 using testing::JacobianMatches;
 using testing::kPi;
-using testing::Random;
+using testing::PoseRandom;
 
 constexpr int kCases = 2000;
 // Central differences with a step of 1e-5 leave 1e-11 times translations of up to some ten metres.
@@ -24,7 +24,7 @@ using Poses = ::testing::Types<SE2, SE3>;
 TYPED_TEST_SUITE(ResidualTest, Poses);
 
 TYPED_TEST(ResidualTest, RelativeJacobiansMatchCentralDifferences) {
-  Random random(21);
+  PoseRandom random(21);
   int checked = 0;
   for (int i = 0; i < kCases; ++i) {
     const auto T_from_to = testing::RandomPose<TypeParam>(random, 2);
@@ -46,7 +46,7 @@ TYPED_TEST(ResidualTest, RelativeJacobiansMatchCentralDifferences) {
 }
 
 TYPED_TEST(ResidualTest, PriorJacobianMatchesCentralDifferences) {
-  Random random(22);
+  PoseRandom random(22);
   for (int i = 0; i < kCases; ++i) {
     const auto T_measured = testing::RandomPose<TypeParam>(random, 5);
     const auto T_world_body = testing::RandomPose<TypeParam>(random, 5);
@@ -59,7 +59,7 @@ TYPED_TEST(ResidualTest, PriorJacobianMatchesCentralDifferences) {
 }
 
 TYPED_TEST(ResidualTest, PositionJacobianMatchesCentralDifferences) {
-  Random random(23);
+  PoseRandom random(23);
   for (int i = 0; i < kCases; ++i) {
     PositionPriorFactor<TypeParam> prior;
     prior.p_world = random.NormalVector<TypeParam::kDim>();
@@ -74,7 +74,7 @@ TYPED_TEST(ResidualTest, PositionJacobianMatchesCentralDifferences) {
 }
 
 TYPED_TEST(ResidualTest, ResidualIsZeroAtTheMeasurementAndMeansWhatTheHeaderSays) {
-  Random random(24);
+  PoseRandom random(24);
   for (int i = 0; i < kCases; ++i) {
     const auto T_from_to = testing::RandomPose<TypeParam>(random, 2);
     const auto T_world_from = testing::RandomPose<TypeParam>(random, 5);
@@ -113,7 +113,7 @@ double Quadratic(const Residual& r, const Information& information) {
 }
 
 TYPED_TEST(ResidualTest, Chi2WeighsWithTheFullInformation) {
-  Random random(25);
+  PoseRandom random(25);
   double sum = 0;
   PoseGraph<TypeParam> graph;
   for (int i = 0; i < 20; ++i) graph.AddPose(PoseId{3 * i}, testing::RandomPose<TypeParam>(random, 5));
@@ -142,7 +142,7 @@ TYPED_TEST(ResidualTest, Chi2WeighsWithTheFullInformation) {
 
 // The gradient of chi2 is 2 J' Omega r: a transposed square root or a swapped Jacobian would show.
 TYPED_TEST(ResidualTest, GradientOfChi2) {
-  Random random(26);
+  PoseRandom random(26);
   for (int i = 0; i < 200; ++i) {
     const auto T_world_from = testing::RandomPose<TypeParam>(random, 2);
     const auto T_world_to = testing::RandomPose<TypeParam>(random, 2);

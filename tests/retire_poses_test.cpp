@@ -81,7 +81,7 @@ struct Compared {
 };
 
 template <class Pose>
-PoseGraph<Pose> RandomScene(std::uint64_t seed, double loops_per_pose = 0.6, bool priors = false) {
+PoseGraph<Pose> RetiringScene(std::uint64_t seed, double loops_per_pose = 0.6, bool priors = false) {
   Random rng(seed);
   testing::RandomGraphOptions options;
   options.poses = 24;
@@ -101,7 +101,7 @@ TYPED_TEST(RetirePosesTest, LosesNothingBetweenTwoNeighbours) {
   using Pose = TypeParam;
   for (std::uint64_t seed = 1; seed <= 3; ++seed) {
     SCOPED_TRACE(seed);
-    const PoseGraph<Pose> graph = RandomScene<Pose>(seed, 0.2);
+    const PoseGraph<Pose> graph = RetiringScene<Pose>(seed, 0.2);
     const auto options = AllOf(graph);
     const CompactPoseSlam<Pose> slam = Run(graph, options);
     const CompactMap<Pose> map = slam.Export();
@@ -128,7 +128,7 @@ TYPED_TEST(RetirePosesTest, IsNeverSurerThanMarginalisationAndMovesNothing) {
   using Pose = TypeParam;
   for (std::uint64_t seed = 1; seed <= 6; ++seed) {
     SCOPED_TRACE(seed);
-    const PoseGraph<Pose> graph = RandomScene<Pose>(seed, 0.8, seed % 3 == 0);
+    const PoseGraph<Pose> graph = RetiringScene<Pose>(seed, 0.8, seed % 3 == 0);
     const auto options = AllOf(graph);
     const CompactMap<Pose> map = Run(graph, options).Export();
     const Retired<Pose> out = RetirePoses(map, options, {kAnyLoss, 5});
@@ -245,7 +245,7 @@ TYPED_TEST(RetirePosesTest, BringsPosesBackAndContinues) {
 
 TYPED_TEST(RetirePosesTest, LeavesPosesThatMayNot) {
   using Pose = TypeParam;
-  PoseGraph<Pose> graph = RandomScene<Pose>(5);
+  PoseGraph<Pose> graph = RetiringScene<Pose>(5);
   const PoseId fixed = graph.Poses()[7].id, prior = graph.Poses()[11].id;
   graph.SetFixed(fixed, true);
   graph.AddFactor(PosePriorFactor<Pose>{prior, *graph.Poses()[11].T_world_body, Pose::Jacobian::Identity()});
@@ -332,7 +332,7 @@ TYPED_TEST(RetirePosesTest, MoreRetireTheMoreTheyMayLose) {
   using Pose = TypeParam;
   std::size_t all[4] = {0, 0, 0, 0};
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
-    const PoseGraph<Pose> graph = RandomScene<Pose>(seed);
+    const PoseGraph<Pose> graph = RetiringScene<Pose>(seed);
     const auto options = AllOf(graph);
     const CompactMap<Pose> map = Run(graph, options).Export();
     int k = 0;

@@ -84,7 +84,7 @@ TEST(RobustKernels, QuantilesAreThoseOfTables) {
 
 // A graph, and the same with wrong loops behind the true ones.
 template <class Pose>
-struct Scene {
+struct RobustScene {
   PoseGraph<Pose> clean, graph;
   std::vector<FactorId> wrong;
   BatchResult<Pose> optimum;  // of the clean one
@@ -105,9 +105,9 @@ std::vector<FactorId> AddWrongLoops(Random& rng, PoseGraph<Pose>& graph, std::si
 }
 
 template <class Pose>
-Scene<Pose> MakeScene(std::uint64_t seed, double share) {
+RobustScene<Pose> MakeScene(std::uint64_t seed, double share) {
   Random rng(seed);
-  Scene<Pose> scene;
+  RobustScene<Pose> scene;
   scene.clean = testing::MakeRandomGraph<Pose>(rng, {80, 0.8, 0.02}).graph;
   scene.optimum = SolveBatch(scene.clean, ComputeInitialValues(scene.clean, InitialValues::kFile));
   scene.graph = scene.clean;

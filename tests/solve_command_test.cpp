@@ -8,6 +8,7 @@
 #include "terse/core/arrival.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/graph_file.h"
+#include "terse/core/pose_values.h"
 #include "terse/core/robust.h"
 #include "terse/core/trajectory.h"
 #include "terse/covariance/marginals.h"
@@ -31,13 +32,6 @@ class SolveCommand : public testing::CommandTest {
     return std::get<PoseGraph<Pose>>(ReadGraph(Path(name), options).graph);
   }
 };
-
-template <class Pose>
-std::vector<Pose> Values(const PoseGraph<Pose>& graph) {
-  std::vector<Pose> values;
-  for (const auto& node : graph.Poses()) values.push_back(*node.T_world_body);
-  return values;
-}
 
 std::vector<std::string> Keys(const nlohmann::json& json) {
   std::vector<std::string> keys;
@@ -72,7 +66,7 @@ TEST_F(SolveCommand, StatisticsHaveTheAgreedKeysAndTrueNumbers) {
   const auto solved = ReadAs<SE3>("out.g2o");
   EXPECT_NEAR(Chi2(solved), chi2, 1e-9 * chi2);
   EXPECT_LT(chi2, Json("info in.g2o --json")["chi2"]);
-  EXPECT_NEAR(CholeskyAt(solved, Values(solved)).LogDeterminant(), stats["log_determinant"].get<double>(), 1e-6);
+  EXPECT_NEAR(CholeskyAt(solved, internal::ValuesOf(solved)).LogDeterminant(), stats["log_determinant"].get<double>(), 1e-6);
   EXPECT_NE(outcome.out.find("170 poses"), std::string::npos) << outcome.out;
   EXPECT_EQ(outcome.err, "") << "no progress where standard error is no terminal";
 }
@@ -153,7 +147,7 @@ TEST_F(SolveCommand, AStepIsAPoseOrAnEdge) {
 
 template <class Pose>
 void ExpectMarginals(const PoseGraph<Pose>& solved, const std::string& csv, const std::vector<PoseId>& ids) {
-  const Marginals<Pose> marginals(solved, Values(solved));
+  const Marginals<Pose> marginals(solved, internal::ValuesOf(solved));
   const auto rows = CsvRows(csv);
   ASSERT_EQ(rows.size(), ids.size());
   for (std::size_t k = 0; k < ids.size(); ++k) {

@@ -20,7 +20,7 @@ using testing::AddNoise;
 using testing::CarMotion;
 using testing::ExactMatches;
 using testing::kKittiLike;
-using testing::Random;
+using testing::PoseRandom;
 
 // The covariance for a noise of sigma pixels, nothing added: no robust weights, no factor, no floor.
 StereoMotionOptions PlainOptions(double sigma) {
@@ -38,7 +38,7 @@ StereoMotionOptions PlainOptions(double sigma) {
 Vector<6> Error(const SE3& estimate, const SE3& truth) { return (estimate.Inverse() * truth).Log(); }
 
 TEST(StereoMotion, ExactMatchesGiveTheMotionFromAPoorStart) {
-  Random rng(1);
+  PoseRandom rng(1);
   const auto matches = ExactMatches(kKittiLike, CarMotion(), 60, rng);
   const auto motion = EstimateStereoMotion(kKittiLike, matches, {}, SE3());
   ASSERT_TRUE(motion);
@@ -48,7 +48,7 @@ TEST(StereoMotion, ExactMatchesGiveTheMotionFromAPoorStart) {
 }
 
 TEST(StereoMotion, OutliersAreLeftOutAndTheErrorFitsTheCovariance) {
-  Random rng(2);
+  PoseRandom rng(2);
   StereoMotionOptions options;
   options.covariance_factor = 1;
   options.sigma_rho_floor = 0;
@@ -80,7 +80,7 @@ TEST(StereoMotion, OutliersAreLeftOutAndTheErrorFitsTheCovariance) {
 }
 
 TEST(StereoMotion, CovarianceIsThatOfMonteCarlo) {
-  Random rng(3);
+  PoseRandom rng(3);
   const auto matches = ExactMatches(kKittiLike, CarMotion(), 100, rng);
   const auto options = PlainOptions(1);
   const auto motion = EstimateStereoMotion(kKittiLike, matches, options, CarMotion());
@@ -100,7 +100,7 @@ TEST(StereoMotion, CovarianceIsThatOfMonteCarlo) {
 
 // Wrong matches are not sampled, and noise of a pixel is not cut off by bounds that are made for less.
 TEST(StereoMotion, MonteCarloTakesTheInliersAndThePapersNoise) {
-  Random rng(8);
+  PoseRandom rng(8);
   auto matches = ExactMatches(kKittiLike, CarMotion(), 120, rng);
   AddNoise(matches, 0.1, rng);
   const auto right = matches;
@@ -135,7 +135,7 @@ TEST(StereoMotion, MonteCarloTakesTheInliersAndThePapersNoise) {
 
 // The joint problem again, independently: points in space, Jacobians by differences, the whole Hessian inverted.
 TEST(StereoMotion, CovarianceIsThatOfTheDenseJointProblem) {
-  Random rng(5);
+  PoseRandom rng(5);
   constexpr int kPoints = 15, kSize = 6 + 3 * kPoints;
   const auto matches = ExactMatches(kKittiLike, CarMotion(), kPoints, rng);
   const auto motion = EstimateStereoMotion(kKittiLike, matches, PlainOptions(0.5), CarMotion());
@@ -177,7 +177,7 @@ TEST(StereoMotion, CovarianceIsThatOfTheDenseJointProblem) {
 }
 
 TEST(StereoMotion, CovarianceHasAFloorAndAFactor) {
-  Random rng(6);
+  PoseRandom rng(6);
   const auto matches = ExactMatches(kKittiLike, CarMotion(), 40, rng);
   auto options = PlainOptions(0.5);
   const auto plain = EstimateStereoMotion(kKittiLike, matches, options, CarMotion());
@@ -194,7 +194,7 @@ TEST(StereoMotion, CovarianceHasAFloorAndAFactor) {
 
 // A step of the offset, and what it does to the estimate.
 TEST(StereoMotion, KnowsHowAnOffsetOfTheDisparitiesMovesIt) {
-  Random rng(9);
+  PoseRandom rng(9);
   auto matches = ExactMatches(kKittiLike, CarMotion(), 60, rng);
   const auto options = PlainOptions(1);
   const auto motion = EstimateStereoMotion(kKittiLike, matches, options, CarMotion());
@@ -212,7 +212,7 @@ TEST(StereoMotion, KnowsHowAnOffsetOfTheDisparitiesMovesIt) {
 }
 
 TEST(StereoMotion, NothingFromTooLittle) {
-  Random rng(7);
+  PoseRandom rng(7);
   StereoMotionOptions options;
   auto few = ExactMatches(kKittiLike, CarMotion(), options.min_inliers - 1, rng);
   EXPECT_FALSE(EstimateStereoMotion(kKittiLike, few, options, SE3()));
@@ -227,7 +227,7 @@ TEST(StereoMotion, NothingFromTooLittle) {
 }
 
 TEST(InitialMotion, HalfOutliers) {
-  Random rng(8);
+  PoseRandom rng(8);
   auto matches = ExactMatches(kKittiLike, CarMotion(), 120, rng);
   AddNoise(matches, 0.2, rng);
   for (size_t k = 0; k < matches.size(); k += 2) matches[k].b.x() += rng.Sign() * rng.Uniform(20, 100);

@@ -14,7 +14,7 @@ inline const StereoCamera kKittiLike = {707.1, 707.1, 601.9, 183.1, 0.537, 1226,
 inline SE3 CarMotion() { return SE3(SO3::Exp({0.004, 0.03, -0.002}), {0.02, -0.01, 1.1}); }
 
 // Exact matches of points that both frames see, depths 4 to 60 metres.
-inline std::vector<StereoMatch> ExactMatches(const StereoCamera& camera, const SE3& T_a_b, int count, Random& rng) {
+inline std::vector<StereoMatch> ExactMatches(const StereoCamera& camera, const SE3& T_a_b, int count, PoseRandom& rng) {
   std::vector<StereoMatch> matches;
   const SE3 T_b_a = T_a_b.Inverse();
   while (static_cast<int>(matches.size()) < count) {
@@ -27,7 +27,7 @@ inline std::vector<StereoMatch> ExactMatches(const StereoCamera& camera, const S
   return matches;
 }
 
-inline void AddNoise(std::vector<StereoMatch>& matches, double sigma, Random& rng) {
+inline void AddNoise(std::vector<StereoMatch>& matches, double sigma, PoseRandom& rng) {
   for (StereoMatch& match : matches) {
     match.a += sigma * rng.NormalVector<3>();
     match.b += sigma * rng.NormalVector<3>();

@@ -34,26 +34,26 @@ CompactOptions<Pose> OptionsFor(const GraphReplay<Pose>& replay, Strategy strate
 }
 
 template <class Pose>
-struct CompactRun {
+struct ReplayedRun {
   std::unique_ptr<CompactPoseSlam<Pose>> slam;
   std::vector<Decision> decisions;
 };
 
 template <class Pose>
-CompactRun<Pose> RunCompact(GraphReplay<Pose>& replay, const CompactOptions<Pose>& options) {
-  CompactRun<Pose> run{std::make_unique<CompactPoseSlam<Pose>>(options), {}};
+ReplayedRun<Pose> RunReplay(GraphReplay<Pose>& replay, const CompactOptions<Pose>& options) {
+  ReplayedRun<Pose> run{std::make_unique<CompactPoseSlam<Pose>>(options), {}};
   for (const auto& input : replay.Inputs()) run.decisions.push_back(run.slam->AddPose(input));
   return run;
 }
 
 template <class Pose>
-CompactRun<Pose> RunCompact(const PoseGraph<Pose>& graph, Strategy strategy, double min_loop_gain,
+ReplayedRun<Pose> RunReplay(const PoseGraph<Pose>& graph, Strategy strategy, double min_loop_gain,
                             double min_pose_gain) {
   GraphReplay<Pose> replay(graph);
   auto options = OptionsFor(replay, strategy);
   options.thresholds.min_loop_gain = min_loop_gain;
   options.thresholds.min_pose_gain = min_pose_gain;
-  return RunCompact(replay, options);
+  return RunReplay(replay, options);
 }
 
 // Once around a circle in twenty steps, and on over the first ten poses, each of which is linked to the one twenty

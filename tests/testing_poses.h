@@ -11,9 +11,9 @@ namespace terse::testing {
 
 inline constexpr double kPi = 3.14159265358979323846;
 
-class Random {
+class PoseRandom {
  public:
-  explicit Random(unsigned seed) : engine_(seed) {}
+  explicit PoseRandom(unsigned seed) : engine_(seed) {}
   double Uniform(double low, double high) { return std::uniform_real_distribution<double>(low, high)(engine_); }
   double LogUniform(double low, double high) { return std::exp(Uniform(std::log(low), std::log(high))); }
   double Normal() { return std::normal_distribution<double>()(engine_); }
@@ -42,21 +42,21 @@ class Random {
 
 // Tangents with |rho| around `size` metres and Angle() radians.
 template <class Pose>
-typename Pose::Tangent RandomTangent(Random& random, double size);
+typename Pose::Tangent RandomTangent(PoseRandom& random, double size);
 template <>
-inline SE2::Tangent RandomTangent<SE2>(Random& random, double size) {
+inline SE2::Tangent RandomTangent<SE2>(PoseRandom& random, double size) {
   const Vector<2> rho = size * random.NormalVector<2>();
   return SE2::Tangent(rho.x(), rho.y(), random.Sign() * random.Angle());
 }
 template <>
-inline SE3::Tangent RandomTangent<SE3>(Random& random, double size) {
+inline SE3::Tangent RandomTangent<SE3>(PoseRandom& random, double size) {
   SE3::Tangent d;
   d << size * random.NormalVector<3>(), random.RotationVector(random.Angle());
   return d;
 }
 
 template <class Pose>
-Pose RandomPose(Random& random, double size) {
+Pose RandomPose(PoseRandom& random, double size) {
   return Pose::Exp(RandomTangent<Pose>(random, size));
 }
 

@@ -460,7 +460,7 @@ TYPED_TEST(ThresholdsTest, TheBaselineKeepsExactlyWhatWasDrawn) {
     const auto drawn = Draw(replay, 14, 4, seed);
     CompactOptions<TypeParam> options;
     options.strategy = Strategy::kGiven;
-    auto run = testing::RunCompact(replay, options);
+    auto run = testing::RunReplay(replay, options);
     const auto& kept = run.slam->Solver().Graph();
     EXPECT_EQ(kept.Poses().size(), drawn.poses.size());
     for (const auto& node : kept.Poses()) EXPECT_EQ(drawn.poses.count(node.id.value), 1u);

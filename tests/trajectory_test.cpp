@@ -16,10 +16,10 @@
 namespace terse {
 namespace {
 
-using testing::Random;
+using testing::PoseRandom;
 
 Trajectory RandomTrajectory(int poses, unsigned seed) {
-  Random random(seed);
+  PoseRandom random(seed);
   Trajectory out;
   double stamp = 1305031098.6659;
   for (int i = 0; i < poses; ++i) {
@@ -86,7 +86,7 @@ TEST(TrajectoryTest, WritesNumbersTheShortWay) {
 }
 
 TEST(TrajectoryTest, ProjectsMatricesOfFewDigitsToTheNearestRotation) {
-  Random random(33);
+  PoseRandom random(33);
   for (int i = 0; i < 100; ++i) {
     const SO3 R = SO3::Exp(random.RotationVector(random.Angle()));
     const Matrix<3, 3> M = R.Rotation();
@@ -103,7 +103,7 @@ TEST(TrajectoryTest, ProjectsMatricesOfFewDigitsToTheNearestRotation) {
 
 // R P with P symmetric and positive definite is nearest to R: the polar decomposition.
 TEST(TrajectoryTest, ProjectionIsThePolarFactor) {
-  Random random(39);
+  PoseRandom random(39);
   for (int i = 0; i < 100; ++i) {
     const SO3 R = SO3::Exp(random.RotationVector(random.Angle()));
     const Matrix<3, 3> S = random.Information<3>();
@@ -207,7 +207,7 @@ TEST(TrajectoryTest, DoesNotDependOnTheLocale) {
 }
 
 TEST(TrajectoryTest, LiftKeepsThePlane) {
-  Random random(37);
+  PoseRandom random(37);
   for (int i = 0; i < 1000; ++i) {
     const SE2 A = testing::RandomPose<SE2>(random, 3), B = testing::RandomPose<SE2>(random, 3);
     EXPECT_LT((Lift(A * B).Adjoint() - (Lift(A) * Lift(B)).Adjoint()).cwiseAbs().maxCoeff(), 1e-13);
@@ -251,7 +251,7 @@ TEST(TrajectoryTest, VerticesAloneAndGraphsInPiecesAreTrajectories) {
 }
 
 TEST(TrajectoryTest, GraphInSpaceKeepsItsPoses) {
-  Random random(38);
+  PoseRandom random(38);
   PoseGraph<SE3> graph;
   for (int i = 0; i < 20; ++i) graph.AddPose(PoseId{100 - 2 * i}, testing::RandomPose<SE3>(random, 5));
   for (int i = 0; i + 1 < 20; ++i) {
