@@ -12,14 +12,8 @@ double Of(const M& S) {
 
 }  // namespace
 
-double LogDeterminant(const Matrix<3, 3>& S) {
-  return Of(S);
-}
-double LogDeterminant(const Matrix<6, 6>& S) {
-  return Of(S);
-}
-double LogDeterminant(const Eigen::MatrixXd& S) {
-  return Of(S);
-}
+double LogDeterminant(const Matrix<3, 3>& S) { return Of(S); }
+double LogDeterminant(const Matrix<6, 6>& S) { return Of(S); }
+double LogDeterminant(const Eigen::MatrixXd& S) { return Of(S); }
 
 }  // namespace terse::internal

@@ -238,8 +238,8 @@ void BindCompact(py::module_& module) {
                         return Recovered{state[0], state[1], state[2]};
                       }));
   SlamType type(module, "CompactPoseSlam",
-            "Keeps the poses and links of a run that carry information; the others come back in trajectory().\n\n"
-            "Any thread may call; calls wait for each other, without the GIL.");
+                "Keeps the poses and links of a run that carry information; the others come back in trajectory().\n\n"
+                "Any thread may call; calls wait for each other, without the GIL.");
   type.def(py::init(&MakeSlam), py::arg("options"), "options: CompactOptions. ValueError if one is out of its domain.");
   BindCompactAdding(type);
   BindCounts(type);

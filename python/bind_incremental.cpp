@@ -266,12 +266,13 @@ void BindStorage(SolverType& type) {
 
 void BindIncremental(py::module_& module) {
   BindStepReport(module);
-  SolverType type(module, "IncrementalSolver",
-            "Optimisation of a growing pose graph.\n\n"
-            "A new pose starts at the value given with it, else at that of its prior, else at the end of its first "
-            "measurement "
-            "from a known pose. A failed call changes nothing. Any thread may call; calls wait for each other, without "
-            "the GIL.");
+  SolverType type(
+      module, "IncrementalSolver",
+      "Optimisation of a growing pose graph.\n\n"
+      "A new pose starts at the value given with it, else at that of its prior, else at the end of its first "
+      "measurement "
+      "from a known pose. A failed call changes nothing. Any thread may call; calls wait for each other, without "
+      "the GIL.");
   BindSteps(type);
   BindEstimates(type);
   BindCosts(type);

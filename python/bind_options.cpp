@@ -24,7 +24,7 @@ void DefWord(Class& type, const char* name, E IncrementalOptions::*member, const
 
 void BindIncrementalOptions(py::module_& module) {
   OptionsType type(module, "IncrementalOptions",
-            "How much an incremental step re-optimises. The defaults suit all graphs that were tried.");
+                   "How much an incremental step re-optimises. The defaults suit all graphs that were tried.");
   type.def(py::init([](const std::string& policy, const py::kwargs& keywords) {
              const auto options = std::make_shared<IncrementalOptions>(PolicyOptions(FromWord<Policy>(policy)));
              SetAttributes(py::cast(options), keywords);

@@ -33,7 +33,7 @@ struct ChoiceScene {
 
 template <class Pose>
 ChoiceScene<Pose> MakeScene(std::uint64_t seed, int poses, double loops_per_pose, bool priors = false,
-                      FixedEdges fixed = FixedEdges::kOdometry) {
+                            FixedEdges fixed = FixedEdges::kOdometry) {
   Random rng(seed);
   testing::RandomGraphOptions options;
   options.poses = poses;

@@ -22,7 +22,6 @@
 namespace terse {
 namespace {
 
-
 std::size_t At(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 // A scene cut into runs of poses, each in a frame of its own, ids from 0; edges between them are the links.

@@ -250,7 +250,8 @@ TYPED_TEST(PoseEliminationTest, DivergenceIsThatOfTheMarginal) {
       const PoseGraph<Pose> fewer = EliminatePoses(graph, options).graph;
       ASSERT_LT(fewer.Poses().size(), 18u);
       const double expected = Divergence(Marginal(graph, IdsOf(fewer)).H, HeldSystem(fewer).H);
-      EXPECT_NEAR(internal::DivergenceFromMarginal(graph, internal::ValuesOf(graph), fewer), expected, 1e-6 * (1 + expected));
+      EXPECT_NEAR(internal::DivergenceFromMarginal(graph, internal::ValuesOf(graph), fewer), expected,
+                  1e-6 * (1 + expected));
     }
     EXPECT_NEAR(internal::DivergenceFromMarginal(graph, internal::ValuesOf(graph), graph), 0, 1e-7);
   }

@@ -66,7 +66,8 @@ TEST_F(SolveCommand, StatisticsHaveTheAgreedKeysAndTrueNumbers) {
   const auto solved = ReadAs<SE3>("out.g2o");
   EXPECT_NEAR(Chi2(solved), chi2, 1e-9 * chi2);
   EXPECT_LT(chi2, Json("info in.g2o --json")["chi2"]);
-  EXPECT_NEAR(CholeskyAt(solved, internal::ValuesOf(solved)).LogDeterminant(), stats["log_determinant"].get<double>(), 1e-6);
+  EXPECT_NEAR(CholeskyAt(solved, internal::ValuesOf(solved)).LogDeterminant(), stats["log_determinant"].get<double>(),
+              1e-6);
   EXPECT_NE(outcome.out.find("170 poses"), std::string::npos) << outcome.out;
   EXPECT_EQ(outcome.err, "") << "no progress where standard error is no terminal";
 }

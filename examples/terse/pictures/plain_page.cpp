@@ -21,8 +21,8 @@ svg { max-width: 100%; height: auto; }
 }  // namespace
 
 void WritePlainPage(const std::string& title, const std::string& body, const std::string& path) {
-  WriteText(kPageHead + ("<title>" + EscapeXml(title)) + "</title></head><body>\n" + body + "\n<p>terse " + TERSE_VERSION +
-                "</p>\n</body></html>\n",
+  WriteText(kPageHead + ("<title>" + EscapeXml(title)) + "</title></head><body>\n" + body + "\n<p>terse " +
+                TERSE_VERSION + "</p>\n</body></html>\n",
             path);
 }
 

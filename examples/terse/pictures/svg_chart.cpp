@@ -11,7 +11,7 @@
 namespace terse {
 namespace {
 
-constexpr double kPanelWidth = 480, kPanelHeight = 330;                         // with its margins
+constexpr double kPanelWidth = 480, kPanelHeight = 330;                              // with its margins
 constexpr double kLeft = 82, kRight = 22, kTop = 44, kBottom = 60, kChartHead = 46;  // margins, and the title's height
 constexpr const char* kColours[] = {"#0b62c4", "#d1480b", "#1a7f37", "#8250df", "#9a6700", "#bf3989",
                                     "#0a7ea4", "#57606a", "#d4a72c", "#e56db1", "#6fae3f", "#3d2f8f"};

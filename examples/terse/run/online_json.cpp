@@ -140,7 +140,9 @@ ordered_json CovarianceJson(const std::vector<PoseId>& poses, const CompactPoseS
             {"to", last.value},
             {"estimate", internal::NumbersOf(slam.Estimate(first, Recovery::kV2).Inverse() * T_world_last)}};
   } else {
-    json = {{"ids", {first.value}}, {"kept", slam.KeptBase(first) == first}, {"estimate", internal::NumbersOf(T_world_last)}};
+    json = {{"ids", {first.value}},
+            {"kept", slam.KeptBase(first) == first},
+            {"estimate", internal::NumbersOf(T_world_last)}};
   }
   json["frame"] = Name(convention.frame);
   json["order"] = Name(convention.order);

@@ -32,7 +32,7 @@ template <class Pose>
 class SparsifyRuns {
  public:
   SparsifyRuns(const PoseGraph<Pose>& graph, const SparsifyTableOptions& options, Progress& progress, long& done,
-            SparsifyTableGraph& out)
+               SparsifyTableGraph& out)
       : graph_(graph), options_(options), progress_(progress), done_(done), out_(out) {}
 
   void Run() {
