@@ -99,9 +99,9 @@ Slam Restore(const CompactMapFile& file, const CompactSettings& settings) {
       file.map);
 }
 
-using SlamType = py::class_<Slam>;
+using Type = py::class_<Slam>;
 
-void BindCounts(SlamType& type) {
+void BindCounts(Type& type) {
   type.def_property_readonly(
           "dimension", [](const Slam& s) { return DimensionOf(s.slam); }, "2 or 3.")
       .def_property_readonly(
@@ -129,7 +129,7 @@ void BindCounts(SlamType& type) {
           "one position prior; '' if nothing, or if there are none.");
 }
 
-void BindEstimates(SlamType& type) {
+void BindEstimates(Type& type) {
   type.def(
           "estimate",
           [](const Slam& s, std::int64_t id, const std::string& recovery) {
@@ -158,7 +158,7 @@ void BindEstimates(SlamType& type) {
           "Sum of r' Omega r over the measurements of the map.");
 }
 
-void BindStorage(SlamType& type) {
+void BindStorage(Type& type) {
   type.def(
           "save",
           [](const Slam& s, const Path& path) {
@@ -179,7 +179,7 @@ void BindStorage(SlamType& type) {
                   "itself, NumericalError if its measurements do not hold it. Without the GIL.");
 }
 
-void BindCovariances(SlamType& type) {
+void BindCovariances(Type& type) {
   using Text = const std::string&;
   constexpr const char* kConvention =
       "\n\nframe: 'body', of d in T Exp(d), 'world', of e in Exp(e) T, or 'world_axes', of position and rotation along "
@@ -237,9 +237,9 @@ void BindCompact(py::module_& module) {
                       [](const py::tuple& state) {
                         return Recovered{state[0], state[1], state[2]};
                       }));
-  SlamType type(module, "CompactPoseSlam",
-                "Keeps the poses and links of a run that carry information; the others come back in trajectory().\n\n"
-                "Any thread may call; calls wait for each other, without the GIL.");
+  Type type(module, "CompactPoseSlam",
+            "Keeps the poses and links of a run that carry information; the others come back in trajectory().\n\n"
+            "Any thread may call; calls wait for each other, without the GIL.");
   type.def(py::init(&MakeSlam), py::arg("options"), "options: CompactOptions. ValueError if one is out of its domain.");
   BindCompactAdding(type);
   BindCounts(type);

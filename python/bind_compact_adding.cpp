@@ -121,9 +121,9 @@ std::vector<RetiredPose> Retire(const Slam& slam, std::optional<double> most_los
   return std::visit([&](const auto& held) { return most_loss ? held->Retire(*most_loss) : held->Retire(); }, slam.slam);
 }
 
-using SlamType = py::class_<Slam>;
+using Type = py::class_<Slam>;
 
-void BindNewPoses(SlamType& type) {
+void BindNewPoses(Type& type) {
   type.def(
           "add_pose",
           [](const Slam& slam, std::int64_t id, py::object odometry, const py::object& registration,
@@ -160,7 +160,7 @@ void BindNewPoses(SlamType& type) {
            "returns False to stop. Without the GIL; Ctrl-C works.");
 }
 
-void BindLateMeasurements(SlamType& type) {
+void BindLateMeasurements(Type& type) {
   type.def(
           "add_link",
           [](const Slam& slam, const RelativePose& link) {
@@ -201,7 +201,7 @@ void BindLateMeasurements(SlamType& type) {
 
 }  // namespace
 
-void BindCompactAdding(SlamType& type) {
+void BindCompactAdding(Type& type) {
   BindNewPoses(type);
   BindLateMeasurements(type);
   type.def(

@@ -154,9 +154,9 @@ void BindStepReport(py::module_& module) {
       .def(PickleOf<StepReport>("pickle StepReport"));
 }
 
-using SolverType = py::class_<Solver>;
+using Type = py::class_<Solver>;
 
-void BindSteps(SolverType& type) {
+void BindSteps(Type& type) {
   type.def(py::init(&MakeSolver), py::arg("dimension"), py::arg("options") = py::none(),
            "dimension: 2 or 3. options: IncrementalOptions.")
       .def("update", &Update, py::kw_only(), py::arg("poses") = py::tuple(), py::arg("factors") = py::tuple(),
@@ -173,7 +173,7 @@ void BindSteps(SolverType& type) {
            "the GIL.");
 }
 
-void BindEstimates(SolverType& type) {
+void BindEstimates(Type& type) {
   type.def_property_readonly(
           "dimension", [](const Solver& s) { return DimensionOf(s.solver); }, "2 or 3.")
       .def_property_readonly(
@@ -209,7 +209,7 @@ void BindEstimates(SolverType& type) {
           "Poses and measurements so far; the values in it are the poses' initial ones. A copy.");
 }
 
-void BindCosts(SolverType& type) {
+void BindCosts(Type& type) {
   type.def(
           "chi2", [](const Solver& s) { return Read(s, [](const auto& held) { return held.Chi2(); }); },
           "Sum of r' Omega r at the estimate, without robust weights.")
@@ -234,7 +234,7 @@ void BindCosts(SolverType& type) {
           "ln det H at the linearisation points.");
 }
 
-void BindStorage(SolverType& type) {
+void BindStorage(Type& type) {
   type.def(
           "save",
           [](const Solver& s, const Path& path) {
@@ -266,13 +266,12 @@ void BindStorage(SolverType& type) {
 
 void BindIncremental(py::module_& module) {
   BindStepReport(module);
-  SolverType type(
-      module, "IncrementalSolver",
-      "Optimisation of a growing pose graph.\n\n"
-      "A new pose starts at the value given with it, else at that of its prior, else at the end of its first "
-      "measurement "
-      "from a known pose. A failed call changes nothing. Any thread may call; calls wait for each other, without "
-      "the GIL.");
+  Type type(module, "IncrementalSolver",
+            "Optimisation of a growing pose graph.\n\n"
+            "A new pose starts at the value given with it, else at that of its prior, else at the end of its first "
+            "measurement "
+            "from a known pose. A failed call changes nothing. Any thread may call; calls wait for each other, without "
+            "the GIL.");
   BindSteps(type);
   BindEstimates(type);
   BindCosts(type);

@@ -12,7 +12,7 @@
 namespace terse::python {
 namespace {
 
-using OptionsType = py::class_<IncrementalOptions, std::shared_ptr<IncrementalOptions>>;
+using Type = py::class_<IncrementalOptions, std::shared_ptr<IncrementalOptions>>;
 
 // An enumeration as a property with its word.
 template <class Class, class E>
@@ -23,8 +23,8 @@ void DefWord(Class& type, const char* name, E IncrementalOptions::*member, const
 }
 
 void BindIncrementalOptions(py::module_& module) {
-  OptionsType type(module, "IncrementalOptions",
-                   "How much an incremental step re-optimises. The defaults suit all graphs that were tried.");
+  Type type(module, "IncrementalOptions",
+            "How much an incremental step re-optimises. The defaults suit all graphs that were tried.");
   type.def(py::init([](const std::string& policy, const py::kwargs& keywords) {
              const auto options = std::make_shared<IncrementalOptions>(PolicyOptions(FromWord<Policy>(policy)));
              SetAttributes(py::cast(options), keywords);

@@ -123,9 +123,9 @@ py::array PoseOf(const Solution& solution, std::int64_t id) {
   return Visit(solution, [&](const auto& r) { return ArrayOf(r.T_world_body[static_cast<std::size_t>(index)]); });
 }
 
-using SolutionType = py::class_<Solution, std::shared_ptr<Solution>>;
+using Type = py::class_<Solution, std::shared_ptr<Solution>>;
 
-void BindPoses(SolutionType& type) {
+void BindPoses(Type& type) {
   type.def_property_readonly(
           "dimension", [](const Solution& s) { return DimensionOf(s.result); }, "2 or 3.")
       .def_property_readonly(
@@ -150,7 +150,7 @@ void BindPoses(SolutionType& type) {
            "was singular.");
 }
 
-void BindOutcome(SolutionType& type) {
+void BindOutcome(Type& type) {
   type.def_property_readonly(
           "converged", [](const Solution& s) { return Visit(s, [](auto& r) { return r.Converged(); }); },
           "Whether the optimum was reached.")
@@ -195,7 +195,7 @@ void BindOutcome(SolutionType& type) {
 }  // namespace
 
 void BindSolve(py::module_& module) {
-  SolutionType type(module, "Solution", "What a batch optimisation found.");
+  Type type(module, "Solution", "What a batch optimisation found.");
   BindPoses(type);
   BindOutcome(type);
   module.def(

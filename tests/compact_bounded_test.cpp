@@ -10,6 +10,7 @@
 #include "terse/compact/measurement_stream.h"
 #include "terse/core/batch_solver.h"
 #include "terse/core/evaluate.h"
+#include "terse/core/stamped_trajectory.h"
 #include "testing_bounded.h"
 #include "testing_files.h"
 #include "testing_scene.h"
@@ -40,8 +41,8 @@ template <class Pose>
 Size SizeOf(const testing::RandomGraph<Pose>& scene, Strategy strategy) {
   const auto run = CompactGraph(scene.graph, strategy);
   std::vector<SE3> estimate, truth;
-  for (const auto& pose : run.slam.Trajectory()) estimate.push_back(testing::InSpace(pose.T_world_body));
-  for (const Pose& T : scene.truth) truth.push_back(testing::InSpace(T));
+  for (const auto& pose : run.slam.Trajectory()) estimate.push_back(InSpace(pose.T_world_body));
+  for (const Pose& T : scene.truth) truth.push_back(InSpace(T));
   const Size size{run.PosesKept(), run.LinksKept(), AbsoluteError(estimate, truth)};
   std::printf("%s, %zu poses: kept %d poses, %d links; ATE %.4f m\n", Name(strategy), truth.size(), size.poses,
               size.links, size.ate_m);
@@ -82,8 +83,8 @@ TEST(CompactBoundedGrowthTest, TenLapsOfTheEllipseKeepWhatThreeDo) {
 template <class Pose>
 Size SizeOf(const CompactPoseSlam<Pose>& slam, const std::vector<Pose>& truth) {
   std::vector<SE3> estimate, reference;
-  for (const auto& pose : slam.Trajectory()) estimate.push_back(testing::InSpace(pose.T_world_body));
-  for (std::size_t k = 0; k < estimate.size(); ++k) reference.push_back(testing::InSpace(truth[k]));
+  for (const auto& pose : slam.Trajectory()) estimate.push_back(InSpace(pose.T_world_body));
+  for (std::size_t k = 0; k < estimate.size(); ++k) reference.push_back(InSpace(truth[k]));
   return {static_cast<int>(slam.Solver().Graph().Poses().size()), slam.LinksKept(), AbsoluteError(estimate, reference)};
 }
 

@@ -7,6 +7,7 @@
 #include "terse/compact/compact_graph.h"
 #include "terse/core/evaluate.h"
 #include "terse/core/graph_file.h"
+#include "terse/core/stamped_trajectory.h"
 #include "terse/core/start_values.h"
 #include "terse/core/trajectory.h"
 #include "testing_compact.h"
@@ -24,7 +25,7 @@ std::vector<SE3> OptimumOf(const PoseGraph<Pose>& graph) {
   const auto result = SolveBatch(graph);
   EXPECT_TRUE(result.Converged()) << result.message;
   std::vector<SE3> out;
-  for (const Pose& T : result.T_world_body) out.push_back(testing::InSpace(T));
+  for (const Pose& T : result.T_world_body) out.push_back(InSpace(T));
   return out;
 }
 
@@ -34,7 +35,7 @@ Outcome FewPosesFewLinks(const PoseGraph<Pose>& graph, const std::vector<SE3>& r
   const CompactRun<Pose> run = CompactGraph(graph, strategy);
   std::vector<SE3> estimate, truth;
   for (const auto& pose : run.slam.Trajectory()) {
-    estimate.push_back(testing::InSpace(pose.T_world_body));
+    estimate.push_back(InSpace(pose.T_world_body));
     truth.push_back(reference[static_cast<std::size_t>(graph.IndexOf(pose.id))]);
   }
   EvaluateOptions options;
@@ -187,8 +188,8 @@ TEST(CompactFarLoops, AreAskedForUnderABudget) {
     }
     std::vector<SE3> estimate, reference;
     for (const auto& pose : slam.Trajectory()) {
-      estimate.push_back(testing::InSpace(pose.T_world_body));
-      reference.push_back(testing::InSpace(truth[static_cast<std::size_t>(pose.id.value)]));
+      estimate.push_back(InSpace(pose.T_world_body));
+      reference.push_back(InSpace(truth[static_cast<std::size_t>(pose.id.value)]));
     }
     EXPECT_LE(most, options.max_registrations);
     return std::pair(AbsoluteError(estimate, reference, Alignment::kSE2), tried);

@@ -15,6 +15,7 @@
 #include "terse/core/generate.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/outliers.h"
+#include "terse/core/stamped_trajectory.h"
 #include "terse/covariance/information_scale.h"
 #include "testing.h"
 
@@ -26,11 +27,11 @@ struct Drive {
   std::vector<SE2> truth;
 };
 
-Drive MakeCity(std::uint64_t seed, long poses = 1200) {
+Drive MakeCity(std::uint64_t seed) {
   Drive drive;
   GenerateOptions options;
   options.scene = Scene::kManhattan;
-  options.poses = poses;
+  options.poses = 1200;
   options.seed = seed;
   GenerateSink<SE2> sink;
   sink.pose = [&](PoseId id, const SE2& T) {
@@ -44,8 +45,8 @@ Drive MakeCity(std::uint64_t seed, long poses = 1200) {
 
 double ErrorOf(const CompactRun<SE2>& run, const std::vector<SE2>& truth) {
   std::vector<SE3> estimate, reference;
-  for (const auto& pose : run.slam.Trajectory()) estimate.push_back(testing::InSpace(pose.T_world_body));
-  for (const SE2& T : truth) reference.push_back(testing::InSpace(T));
+  for (const auto& pose : run.slam.Trajectory()) estimate.push_back(InSpace(pose.T_world_body));
+  for (const SE2& T : truth) reference.push_back(InSpace(T));
   return AbsoluteError(estimate, reference);
 }
 
@@ -61,7 +62,7 @@ double ErrorWith(const Drive& drive, double percent, OutlierKind kind, std::uint
 // One wrong loop in ten, and three.
 TEST(CompactWrongLoops, TheMapOfACityStays) {
   for (const std::uint64_t seed : testing::Seeds(501, 502)) {
-    const Drive drive = MakeCity(seed, 600);
+    const Drive drive = MakeCity(seed);
     const double clean = ErrorOf(drive.graph, drive.truth);
     for (const OutlierKind kind :
          {OutlierKind::kRandom, OutlierKind::kGrouped, OutlierKind::kAliased, OutlierKind::kLocal}) {

@@ -35,12 +35,6 @@ Matrix<N, N> RandomInformation(Random& rng, double scale = 1);
 template <class Pose>
 Pose RandomMotion(Random& rng, double metres, double radians);
 
-// A plane's pose in space.
-inline SE3 InSpace(const SE3& T) { return T; }
-inline SE3 InSpace(const SE2& T) {
-  return SE3(SO3::Exp({0, 0, T.Theta()}), {T.Translation().x(), T.Translation().y(), 0});
-}
-
 // A trajectory with odometry, loops to random earlier poses, and optionally priors and duplicates; measurements with
 // noise.
 struct RandomGraphOptions {

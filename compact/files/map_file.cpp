@@ -18,8 +18,8 @@ constexpr const char* kFormat = "terse-compact-graph-1";
 
 // Writing ---------------------------------------------------------------------------------------------------------
 
-template <class Numbers>
-std::string List(const Numbers& numbers) {
+template <class Range>
+std::string List(const Range& numbers) {
   std::string out = "[";
   for (const double number : numbers) {
     if (!std::isfinite(number)) throw NumericalError("an estimate of the map is not finite");

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
 #include "terse/core/disjoint_sets.h"
 #include "terse/core/gauge.h"
@@ -29,7 +30,7 @@ std::vector<FactorId> SpanningForest(const PoseGraph<Pose>& graph) {
   for (const auto& node : graph.Factors()) {
     const auto* edge = RelativeOf(node.factor);
     if (edge == nullptr) continue;
-    const double log_det = 2 * edge->information.llt().matrixLLT().diagonal().array().log().sum();
+    const double log_det = LogDeterminant(edge->information);
     edges.push_back({log_det, node.id, graph.IndexOf(edge->from), graph.IndexOf(edge->to)});
   }
   std::stable_sort(edges.begin(), edges.end(), [](const Edge& a, const Edge& b) { return a.weight > b.weight; });

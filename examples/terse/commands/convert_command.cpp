@@ -31,7 +31,7 @@ bool LooksLikeTrajectory(const std::string& path) {
 }
 
 template <class Pose>
-Trajectory PosesOf(const PoseGraph<Pose>& graph, const std::string& path) {
+Trajectory TrajectoryOf(const PoseGraph<Pose>& graph, const std::string& path) {
   std::vector<std::pair<PoseId, SE3>> values;
   for (const auto& pose : graph.Poses()) {
     try {
@@ -69,7 +69,7 @@ void Convert(const ConvertOptions& options) {
   }
   const bool from_trajectory = LooksLikeTrajectory(options.input);
   if (to_tum || to_kitti) {
-    const auto values = [&](const auto& graph) { return PosesOf(graph, options.input); };
+    const auto values = [&](const auto& graph) { return TrajectoryOf(graph, options.input); };
     ReadOptions read = options.read;
     read.expect_connected = false;  // vertices alone are a trajectory
     const Trajectory trajectory =

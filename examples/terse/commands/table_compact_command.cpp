@@ -63,7 +63,7 @@ nlohmann::ordered_json AllJson(const std::vector<CompactTableRow>& rows, const s
   return json;
 }
 
-void RunCompactCommand(const TableCompactOptions& options) {
+void PrintCompactTables(const TableCompactOptions& options) {
   const std::vector<CompactGraphName> names = Chosen(options.graphs);
   // Before the first of many minutes, not after them.
   std::vector<NamedPath> inputs;
@@ -151,7 +151,7 @@ void AddCompactTable(CLI::App& table) {
       ->type_name("FILE");
   command->add_flag("--quiet", options->table.quiet, "No progress on standard error");
   command->footer("Example: terse table compact . --graphs ellipse --random-runs 1 --output figures");
-  command->callback([options] { RunCompactCommand(*options); });
+  command->callback([options] { PrintCompactTables(*options); });
 }
 
 }  // namespace terse

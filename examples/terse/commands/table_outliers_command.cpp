@@ -42,7 +42,7 @@ void Normalise(TableOutliersOptions& options) {
   table.methods = methods;
 }
 
-void RunOutliersCommand(TableOutliersOptions options) {
+void PrintOutlierTables(TableOutliersOptions options) {
   Normalise(options);
   const std::vector<GraphPath> inputs = ChooseGraphFiles(options.folder, options.graphs);
   std::vector<NamedPath> named;
@@ -166,7 +166,7 @@ void AddOutliersTable(CLI::App& table) {
       "the map believes are true. Information that the residuals of the clean graph contradict is scaled first.\n"
       "Example: mkdir -p few && terse generate manhattan --poses 60 --output few/walk.g2o &&\n"
       "         terse table outliers few --percents 30 --kinds random --seeds 1");
-  command->callback([options] { RunOutliersCommand(*options); });
+  command->callback([options] { PrintOutlierTables(*options); });
 }
 
 }  // namespace terse

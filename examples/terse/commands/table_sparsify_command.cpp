@@ -30,7 +30,7 @@ void SortEachOnce(std::vector<T>& values) {
   values.erase(std::unique(values.begin(), values.end()), values.end());
 }
 
-void RunSparsifyCommand(TableSparsifyOptions options) {
+void PrintSparsifyTables(TableSparsifyOptions options) {
   SparsifyTableOptions& table = options.table;
   SortEachOnce(table.percents);
   SortEachOnce(table.sparsities);
@@ -123,7 +123,7 @@ void AddSparsifyTable(CLI::App& app) {
       "small graph says.\n"
       "Example: mkdir -p few && terse generate manhattan --poses 60 --output few/walk.g2o &&\n"
       "         terse table sparsify few --percents 20 --draws 2 --sparsities 2");
-  command->callback([options] { RunSparsifyCommand(*options); });
+  command->callback([options] { PrintSparsifyTables(*options); });
 }
 
 }  // namespace terse
