@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "terse/core/chi_square.h"
+#include "terse/core/open_loops.h"
 #include "terse/core/residual.h"
 #include "terse/core/robust.h"
 #include "terse/core/supported_loops.h"
@@ -19,9 +20,6 @@ constexpr std::size_t kLeastAlone = 50;
 // Where loops are rarer, a first map is one explanation more, and costs little.
 constexpr std::size_t kPosesPerLoop = 4;
 constexpr double kDoubtfulShare = 0.01;
-// Of chi2, times the square of the width. Wrong loops, local ones too, are farther off in 999 of 1000 cases, true ones
-// seldom: none to two in a hundred on most graphs, three on manhattan.
-constexpr double kByFar = 10;
 // An explanation of so many times as many loops is better at any cost.
 constexpr double kManyMore = 1.05;
 // With so few loops, one through a kernel so many times as wide is looked at too.
@@ -72,7 +70,9 @@ class Judge {
       const double chi2 = Chi2(node.factor, out.T_world_body);
       out.cost += is_loop ? std::min(chi2, k_) : chi2;
       out.wide_cost += is_loop ? std::min(chi2, kWider * kWider * left_out_) : chi2;
-      if (is_loop && chi2 > kByFar * left_out_) out.contradicted.push_back(node.id);
+      // Wrong loops, local ones too, are farther off in 999 of 1000 cases, true ones seldom: none to two in a hundred
+      // on most graphs, three on manhattan.
+      if (is_loop && chi2 > internal::kByFar * left_out_) out.contradicted.push_back(node.id);
     }
     std::sort(out.contradicted.begin(), out.contradicted.end());
     return out;
@@ -131,9 +131,10 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
   const Judge<Pose> judge(graph, solved);
   BatchOptions next_to = options;
   next_to.robust.width = solved.robust_width;
+  next_to.robust_factors = LoopFactors(graph);
   next_to.graduate = false;
   const auto explain_next_to = [&](const std::vector<Pose>& T_world_body) {
-    return judge.Weigh(SolveBatch(graph, T_world_body, next_to).T_world_body);
+    return judge.Weigh(internal::SolveWithOpenLoops(graph, T_world_body, next_to).T_world_body);
   };
   Explanation<Pose> best = explain_next_to(solved.T_world_body);
   const auto keep_if_better = [&](Explanation<Pose> other) {

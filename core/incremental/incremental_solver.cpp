@@ -18,6 +18,7 @@
 #include "terse/core/initial_values.h"
 #include "terse/core/log_message.h"
 #include "terse/core/observability.h"
+#include "terse/core/open_loops.h"
 #include "terse/core/state_members.h"
 
 namespace terse {
@@ -31,6 +32,8 @@ constexpr double kDiverging = 1e3;
 constexpr double kSameMinimum = 1e-3;
 // Of the loops: more than the tail of true ones.
 constexpr double kManyOut = 0.05;
+// Loops that go at once.
+constexpr int kGroup = 2;
 // What a restart or a rescue takes, about, in relinearisations of everything.
 constexpr int kRestartRounds = 30;
 // With a budget that it may exceed, a map is rescued at every so many steps at most.
@@ -84,6 +87,7 @@ struct IncrementalSolver<Pose>::Parts {
   }
   bool MoveTo(const std::vector<Pose>& T_world_body, const IncrementalOptions& options);
   void RestartIfLower(Step& step);
+  void RestartWithoutEvicted(Step& step);
   void RescueIfDiverging(const internal::UpdatePlan<Pose>& plan, Step& step);
 };
 
@@ -130,6 +134,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   const auto before = internal::UpdateGate<Pose>::Look(map);
   const double minimum_before = map.MinimumCost();
   parts_->Add(update, plan, options_, report);
+  judge.TakeEvicted();  // what Finish left
   judge.Admit(plan, map.MinimumCost() - minimum_before, step);
   const double minimum_after = map.MinimumCost();
   gate.Decide({update, plan, before, is_deferred}, step);
@@ -146,6 +151,7 @@ StepReport IncrementalSolver<Pose>::Update(const GraphUpdate<Pose>& update) {
   }
   judge.Review(step);
   parts_->RescueIfDiverging(plan, step);
+  parts_->RestartWithoutEvicted(step);
   if (MayRestart(options_)) {
     watch.NoteStep(minimum_before, minimum_after, map, options_);
     if (report.gate_open && watch.SeemsTrapped(map) && parts_->MayTakeLong(options_)) parts_->RestartIfLower(step);
@@ -258,7 +264,7 @@ void IncrementalSolver<Pose>::Parts::RestartIfLower(Step& step) {
   watch.NoteTried(map);
   BatchOptions batch;
   batch.threads = options.threads;
-  const std::optional<BatchResult<Pose>> lower = watch.LowerMinimum(cost, true, map, batch);
+  const std::optional<BatchResult<Pose>> lower = watch.LowerMinimum(cost, true, map.Graph(), map, batch);
   if (!lower || !MoveTo(lower->T_world_body, options)) {
     Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": chi2 ", cost, ", the innovations explain ",
         watch.Explained(), "; a restart from the chordal relaxation finds nothing lower");
@@ -266,6 +272,26 @@ void IncrementalSolver<Pose>::Parts::RestartIfLower(Step& step) {
   }
   Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": a wrong minimum, chi2 ", cost,
       ", the innovations explain ", watch.Explained(), "; restarted from the chordal relaxation, chi2 ", lower->chi2);
+  watch.NoteRestart(map);
+  step.report.restarted = true;
+  step.report.variables_moved = step.report.variables_relinearised = map.Cholesky().Variables();
+}
+
+// kGnc: where a group of wrong loops was believed and is found out, the map may be bent so far that it comes to rest in
+// a wrong minimum, and from there true loops look wrong.
+template <class Pose>
+void IncrementalSolver<Pose>::Parts::RestartWithoutEvicted(Step& step) {
+  const IncrementalOptions& options = step.options;
+  const bool may = options.robust.kernel == RobustKernel::kGnc && options.carry == Carry::kOffset && options.restart;
+  if (judge.TakeEvicted() < kGroup || !may || !MayTakeLong(options)) return;
+  BatchOptions batch;
+  batch.threads = options.threads;
+  const double cost = map.MinimumCost();
+  const PoseGraph<Pose> believed = WithWeights(map.Graph(), judge.WeightsIn(map));
+  const std::optional<BatchResult<Pose>> lower = watch.LowerMinimum(cost, true, believed, map, batch);
+  if (!lower || !MoveTo(lower->T_world_body, options)) return;
+  Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": a wrong minimum after loops went, chi2 ", cost,
+      "; restarted from the chordal relaxation of what is in, chi2 ", lower->chi2);
   watch.NoteRestart(map);
   step.report.restarted = true;
   step.report.variables_moved = step.report.variables_relinearised = map.Cholesky().Variables();
@@ -314,7 +340,7 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
     BatchOptions quiet;
     quiet.threads = options.threads;
     const double cost = Chi2();
-    if (const auto lower = watch.LowerMinimum(cost, watch.IsSuspected(map), map, quiet)) {
+    if (const auto lower = watch.LowerMinimum(cost, watch.IsSuspected(map), map.Graph(), map, quiet)) {
       BatchResult<Pose> result = FinishFrom(lower->T_world_body, options);
       if (result.termination != Termination::kNotPositiveDefinite) {
         Log(options_.log, LogLevel::kInfo, "finish: a wrong minimum, chi2 ", cost,
@@ -333,6 +359,7 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
     FinishFrom(Estimates(), near);
     for (int round = 0; round < kMostFinishRounds; ++round) {
       if (!judge.ReviewAllOdometry(step) && !judge.JudgeParkedGroups(step)) break;
+      parts_->RestartWithoutEvicted(step);
       FinishFrom(Estimates(), near);
     }
     BatchResult<Pose> result = FinishFrom(Estimates(), options);

@@ -1,12 +1,8 @@
 #include "incremental/loop_judge.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <functional>
 #include <limits>
-#include <map>
-#include <set>
 
 #include "terse/core/front_paths.h"
 #include "terse/core/graph_members.h"
@@ -20,16 +16,8 @@ namespace {
 
 using std::size_t;
 
-// Loops that are judged at once, of each side of a contest, and of those that come back in a step.
+// Loops that are judged at once, and of those that come back in a step.
 constexpr size_t kMostJudged = 10, kMostRetried = 10;
-constexpr size_t MostOfASide(int B) { return B == 3 ? 40 : 24; }
-constexpr size_t kMostOfGroup = 12;
-template <int B>
-bool AreNear(const LinearFactor<B>& a, const LinearFactor<B>& b) {
-  return std::abs(a.first - b.first) <= kReachOfGroup && std::abs(a.second - b.second) <= kReachOfGroup;
-}
-// Loops that are out, looked at for a newcomer's sake: around it in order of arrival, then all; and in a step.
-constexpr size_t kNeighbours = 200, kMostLooked = 2000;
 // Scalars that a graduation may have: every stage of it solves for all.
 constexpr size_t kMostGraduated = 60;
 constexpr int kMostRounds = 3;
@@ -91,7 +79,9 @@ bool LoopJudge<Pose>::Exchange(const Loops& in, const Loops& out, StepContext<Po
   has_evicted_ = has_evicted_ || !out.empty();
   for (const Loop& loop : out) {
     step.relinearization.Release(loop.slot);
-    if (!At(loop.slot).is_loop) {
+    if (At(loop.slot).is_loop) {
+      ++evicted_;
+    } else {
       slips_.insert(std::upper_bound(slips_.begin(), slips_.end(), loop.id), loop.id);
       const FactorPoses ends = PosesOf(step.map.Graph().FindFactor(loop.id)->factor);
       cycles_.Break(ends.first < ends.second ? ends.second : ends.first);
@@ -267,77 +257,6 @@ std::pair<size_t, size_t> LoopJudge<Pose>::ParkedAround(FactorId id) const {
   return {place - std::min(place, kNeighbours / 2), std::min(parked_.size(), place + kNeighbours / 2)};
 }
 
-// Whom it would move most if the loop were in, and who would be served. What is in may give way by little and still
-// oppose: its conflict can be with the odometry between.
-template <class Pose>
-typename LoopJudge<Pose>::Camps LoopJudge<Pose>::AddContestants(Loops& contest, const Map& map) const {
-  using Ranked = std::vector<std::pair<double, FactorId>>;
-  const Loop& loop = contest[0];
-  const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(loop.z, loop.z);
-  const std::vector<double> x = SolveBackward<B>(map.Cholesky().Tree(), loop.z, S.llt().solve(loop.residual));
-  const auto moved = [&](const LinearFactor<B>& f) { return ResidualChange(f, x); };
-  Ranked against, along;
-  int mates = 0;  // of its group, or at one with it
-  const auto look = [&](size_t first, size_t last) {
-    for (size_t k = first; k < last; ++k) {
-      if (parked_[k].id == loop.id) continue;
-      const Loop other(parked_[k].id, map);
-      const double now = other.residual.squaredNorm(), after = (other.residual - moved(other.linear)).squaredNorm();
-      if (after * kNews >= now || IsRefusedByOdometry(other.id, map)) continue;
-      along.emplace_back(after, other.id);
-      if (AreNear(loop.linear, other.linear) || after <= limit_) ++mates;
-    }
-  };
-  const auto [first_around, behind_around] = ParkedAround(loop.id);
-  look(first_around, behind_around);
-  // One against another: who was first stays. More are heard when they have become twice as many.
-  if (mates == 0 || (mates & (mates - 1)) != 0) return {};
-  along.clear();
-  look(parked_.size() - std::min(parked_.size(), kMostLooked), parked_.size());
-  for (int slot = 0; slot < static_cast<int>(slots_.size()); ++slot) {
-    if (!slots_[static_cast<size_t>(slot)].is_loop) continue;
-    against.emplace_back(-moved(map.Cholesky().LinearFactorAt(slot)).squaredNorm(), map.IdAt(slot));
-  }
-  const auto best = [](Ranked& side) { side.resize(std::min(side.size(), MostOfASide(B))); };
-  std::sort(along.begin(), along.end());
-  best(along);
-  for (const auto& entry : along) contest.emplace_back(entry.second, map);
-  Camps camps;
-  camps.first_against = contest.size();
-  const auto kept = against.begin() + static_cast<long>(std::min(against.size(), MostOfASide(B)));
-  std::partial_sort(against.begin(), kept, against.end());
-  std::set<int> taken;
-  for (auto it = against.begin(); it != kept && taken.size() < MostOfASide(B); ++it) {
-    const int seed = map.SlotOf(it->second);
-    if (taken.count(seed) > 0) continue;
-    std::vector<size_t> group;
-    for (const int slot : GroupOf(seed, map)) {
-      if (!taken.insert(slot).second) continue;
-      group.push_back(contest.size());
-      contest.emplace_back(map.IdAt(slot), map);
-    }
-    camps.groups.push_back(std::move(group));
-  }
-  return camps;
-}
-
-// The slots of loops that lead from where this one does to where it does, itself the first.
-template <class Pose>
-std::vector<int> LoopJudge<Pose>::GroupOf(int slot, const Map& map) const {
-  const LinearFactor<B>& seed = map.Cholesky().LinearFactorAt(slot);
-  std::vector<int> group = {slot};
-  for (int v = std::max(0, seed.first - kReachOfGroup);
-       v <= std::min(map.Cholesky().Variables() - 1, seed.first + kReachOfGroup); ++v) {
-    for (const int other : map.Cholesky().SlotsOf(v)) {
-      const LinearFactor<B>& f = map.Cholesky().LinearFactorAt(other);
-      if (other == slot || !slots_[static_cast<size_t>(other)].is_loop || f.first != v || !AreNear(f, seed)) continue;
-      group.push_back(other);
-      if (group.size() == kMostOfGroup) return group;
-    }
-  }
-  return group;
-}
-
 template <class Pose>
 auto LoopJudge<Pose>::ContestOf(Loops& loops, const Map& map) const -> Contest<B> {
   Eigen::VectorXd r(static_cast<Eigen::Index>(loops.size()) * B);
@@ -477,59 +396,6 @@ bool LoopJudge<Pose>::RetryParked(size_t first, size_t last, StepContext<Pose>& 
   return Chooses() ? AdmitLoops(again, step) : AdmitWeighted(again, step);
 }
 
-// One of a group speaks for it, the closest to the estimate; who is alone has been heard. Few are all heard.
-template <class Pose>
-bool LoopJudge<Pose>::JudgeParkedGroups(StepContext<Pose>& step) {
-  struct Entry {
-    double chi2;
-    FactorId id;
-    std::array<int, 2> ends;
-    bool operator<(const Entry& other) const { return chi2 < other.chi2; }
-  };
-  std::vector<Entry> order;
-  std::map<std::array<int, 2>, std::vector<std::array<int, 2>>> cells;  // a reach wide
-  const auto cell = [](const std::array<int, 2>& ends) {
-    return std::array<int, 2>{ends[0] / kReachOfGroup, ends[1] / kReachOfGroup};
-  };
-  const auto is_near = [](const std::array<int, 2>& a, const std::array<int, 2>& b) {
-    return a != b && std::abs(a[0] - b[0]) <= kReachOfGroup && std::abs(a[1] - b[1]) <= kReachOfGroup;
-  };
-  const auto any_near = [&](const std::array<int, 2>& ends) {
-    const std::array<int, 2> at = cell(ends);
-    for (int i = -1; i <= 1; ++i) {
-      for (int j = -1; j <= 1; ++j) {
-        const auto it = cells.find({at[0] + i, at[1] + j});
-        if (it == cells.end()) continue;
-        for (const auto& other : it->second) {
-          if (is_near(ends, other)) return true;
-        }
-      }
-    }
-    return false;
-  };
-  for (const Parked& parked : parked_) {
-    const FactorPoses ends = PosesOf(step.map.Graph().FindFactor(parked.id)->factor);
-    order.push_back({step.map.Chi2Of(parked.id),
-                     parked.id,
-                     {step.map.Graph().IndexOf(ends.first), step.map.Graph().IndexOf(ends.second)}});
-    cells[cell(order.back().ends)].push_back(order.back().ends);
-  }
-  const bool hears_all = parked_.size() <= kNeighbours;
-  const auto is_alone = [&](const Entry& e) { return !hears_all && !any_near(e.ends); };
-  order.erase(std::remove_if(order.begin(), order.end(), is_alone), order.end());
-  std::sort(order.begin(), order.end());
-  cells.clear();  // from here on those that have been heard
-  bool changed = false;
-  for (const Entry& entry : order) {
-    if (step.map.SlotOf(entry.id) >= 0 || (!hears_all && any_near(entry.ends))) continue;
-    cells[cell(entry.ends)].push_back(entry.ends);
-    if (!AdmitLoops({Loop(entry.id, step.map)}, step)) continue;
-    changed = true;
-    BackSubstitute(std::nullopt, step);
-  }
-  return changed;
-}
-
 template <class Pose>
 void LoopJudge<Pose>::Review(StepContext<Pose>& step) {
   if (!IsActive()) return;
@@ -552,7 +418,7 @@ template <class Pose>
 template <class Archive>
 void LoopJudge<Pose>::Serialize(Archive& archive) {
   auto& [options, stated_limit, limit, outer_limit, reviewed_limit, doubts_all, scale, cycles, reviewed_cycle_limit,
-         slots, parked, next_parked, has_evicted, slips] = *this;
+         slots, parked, next_parked, has_evicted, evicted, slips] = *this;
   archive(options, stated_limit, limit, outer_limit, reviewed_limit, doubts_all, scale, cycles, reviewed_cycle_limit,
           next_parked, has_evicted, slips);
   archive.Each(slots, [&](OfSlot& slot) {

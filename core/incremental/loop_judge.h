@@ -13,6 +13,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "incremental/judged_loop.h"
 #include "incremental/slip_search.h"
@@ -58,6 +59,8 @@ class LoopJudge {
   // kGnc: loops that are in although odometry alone contradicts them, by what is known of it now.
   bool DropRefused(StepContext<Pose>& step);
 
+  // Loops that went since this was last asked.
+  int TakeEvicted() { return std::exchange(evicted_, 0); }
   double RobustChi2(const Map& map) const;
   // By position in the graph's factors: 1 for what is in, 0 for what is out.
   std::vector<double> WeightsIn(const Map& map) const;
@@ -80,6 +83,8 @@ class LoopJudge {
     std::size_t first_against = 0;                 // 0: there are no camps
     std::vector<std::vector<std::size_t>> groups;  // of those that oppose it
   };
+  // Loops that are out, looked at for a newcomer's sake: around it in order of arrival, then all; and in a step.
+  static constexpr std::size_t kNeighbours = 200, kMostLooked = 2000;
   // A loop, or odometry, is judged again when its chi2 has changed by this factor.
   static constexpr double kNews = 2;
   struct OfSlot {
@@ -146,6 +151,7 @@ class LoopJudge {
   std::vector<Parked> parked_;       // loops that are out, ascending
   std::size_t next_parked_ = 0;      // of these, to be looked at
   bool has_evicted_ = false;         // since loops that are out were looked at
+  int evicted_ = 0;                  // within a step
   std::vector<FactorId> slips_;      // kGnc: odometry among what is out, ascending
 };
 

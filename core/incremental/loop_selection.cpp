@@ -5,11 +5,11 @@
 #include <stdexcept>
 #include <utility>
 
-#include "incremental/judged_loop.h"
 #include "terse/core/at.h"
 #include "terse/core/disjoint_sets.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
+#include "terse/core/open_loops.h"
 #include "terse/core/replay.h"
 #include "terse/core/supported_loops.h"
 
@@ -20,9 +20,9 @@ using std::size_t;
 
 // Between two looks at whether the caller wants to go on.
 constexpr int kStepsBetweenProgress = 100;
-// Of the squared width: a loop whose innovation is larger is wrong. What is out within that may as well be the tail of
-// true ones, as long as it is no more than this share of what is in.
-constexpr double kByFar = 10, kTail = 0.01;
+// What is out but not by far may as well be the tail of true ones, as long as it is no more than this share of what is
+// in.
+constexpr double kTail = 0.01;
 
 template <class Pose>
 class Selector {
@@ -100,7 +100,7 @@ class Selector {
     next_to.graduate = false;
     next_to.robust.width = selection.width;
     next_to.robust_factors = selection.robust_factors;
-    const BatchResult<Pose> solved = SolveBatch(graph_, selection.T_world_body, next_to);
+    const BatchResult<Pose> solved = SolveWithOpenLoops(graph_, selection.T_world_body, next_to);
     if (solved.cholesky.Variables() == 0) return std::nullopt;  // singular
     selection.T_world_body = solved.T_world_body;
     Verdict out;
@@ -113,7 +113,7 @@ class Selector {
       if (weight > 0) {
         ++out.explained;
         out.explained_alone += is_alone;
-      } else if (Innovation(std::get<RelativePoseFactor<Pose>>(node.factor), solved) <= by_far) {
+      } else if (InnovationOf(std::get<RelativePoseFactor<Pose>>(node.factor), graph_, solved) <= by_far) {
         ++out.open;
       } else if (is_alone) {
         out.wrong.push_back(node.id);
@@ -121,21 +121,6 @@ class Selector {
     }
     std::sort(out.wrong.begin(), out.wrong.end());
     return out;
-  }
-
-  // Of a loop that is out.
-  double Innovation(const RelativePoseFactor<Pose>& loop, const BatchResult<Pose>& solved) const {
-    const int from = graph_.IndexOf(loop.from), to = graph_.IndexOf(loop.to);
-    const Pose& T_world_from = solved.T_world_body[At(from)];
-    const Pose& T_world_to = solved.T_world_body[At(to)];
-    LinearFactor<B> linear;
-    linear.first = from;
-    linear.second = to;
-    CompareExponentially(loop, SquareRootInformation(Factor<Pose>(loop)), T_world_from, T_world_to,
-                         T_world_to.Inverse() * T_world_from, linear);
-    const PathColumns<B> z = SolveForward(solved.cholesky.Tree(), linear);
-    const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(z, z);
-    return linear.residual.dot(S.llt().solve(linear.residual));
   }
 
   double CostOf(const Selection& selection, double width) const {
@@ -173,27 +158,12 @@ std::optional<LoopSelection<Pose>> SelectBorneOut(const PoseGraph<Pose>& graph, 
   return Selector<Pose>(graph, options, is_stopped).SelectBorneOut();
 }
 
-template <class Pose>
-double TruncatedCost(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
-                     const std::vector<FactorId>& robust, double width) {
-  double cost = 0;
-  for (const auto& node : graph.Factors()) {
-    const FactorPoses ends = PosesOf(node.factor);
-    const auto value = [&](PoseId id) { return T_world_body[At(graph.IndexOf(id))]; };
-    const double chi2 = FactorChi2(node.factor, value(ends.first), value(ends.second));
-    cost += std::binary_search(robust.begin(), robust.end(), node.id) ? std::min(chi2, width * width) : chi2;
-  }
-  return cost;
-}
-
-#define TERSE_INSTANTIATE(Pose)                                                                                       \
-  template std::optional<LoopSelection<Pose>> SelectByReplay<Pose>(const PoseGraph<Pose>&, const BatchOptions&,       \
-                                                                   bool&);                                            \
-  template std::optional<LoopSelection<Pose>> SelectBorneOut<Pose>(const PoseGraph<Pose>&, const BatchOptions&,       \
-                                                                   bool&);                                            \
-  template bool IsConnected<Pose>(const PoseGraph<Pose>&);                                                            \
-  template double TruncatedCost<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, const std::vector<FactorId>&, \
-                                      double);
+#define TERSE_INSTANTIATE(Pose)                                                                                 \
+  template std::optional<LoopSelection<Pose>> SelectByReplay<Pose>(const PoseGraph<Pose>&, const BatchOptions&, \
+                                                                   bool&);                                      \
+  template std::optional<LoopSelection<Pose>> SelectBorneOut<Pose>(const PoseGraph<Pose>&, const BatchOptions&, \
+                                                                   bool&);                                      \
+  template bool IsConnected<Pose>(const PoseGraph<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

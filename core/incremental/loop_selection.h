@@ -34,9 +34,4 @@ template <class Pose>
 std::optional<LoopSelection<Pose>> SelectBorneOut(const PoseGraph<Pose>& graph, const BatchOptions& options,
                                                   bool& is_stopped);
 
-// Truncated least squares at these values by pose index; `robust` ascending.
-template <class Pose>
-double TruncatedCost(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
-                     const std::vector<FactorId>& robust, double width);
-
 }  // namespace terse::internal

@@ -42,9 +42,9 @@ double Chi2At(const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
 
 // In the frame of the estimate where no measurement gives one. Absent if the relaxation cannot be made.
 template <class Pose>
-std::optional<std::vector<Pose>> RelaxedValues(const LinearizedGraph<Pose>& map) {
+std::optional<std::vector<Pose>> RelaxedValues(const PoseGraph<Pose>& graph, const LinearizedGraph<Pose>& map) {
   try {
-    std::vector<Pose> values = ComputeInitialValues(map.Graph(), InitialValues::kChordal);
+    std::vector<Pose> values = ComputeInitialValues(graph, InitialValues::kChordal);
     if (map.Frame().absolute.Count() == 0) {
       const Pose T_new_old = map.EstimateAt(0) * values[0].Inverse();
       for (Pose& value : values) value = T_new_old * value;
@@ -99,13 +99,14 @@ void MinimumWatch<Pose>::NoteRestart(const Map& map) {
 }
 
 template <class Pose>
-std::optional<BatchResult<Pose>> MinimumWatch<Pose>::LowerMinimum(double cost, bool suspected, const Map& map,
+std::optional<BatchResult<Pose>> MinimumWatch<Pose>::LowerMinimum(double cost, bool suspected,
+                                                                  const PoseGraph<Pose>& graph, const Map& map,
                                                                   BatchOptions options) const {
-  const auto values = RelaxedValues(map);
-  if (!values || (!suspected && !(Chi2At(map.Graph(), *values) < cost))) return std::nullopt;
+  const auto values = RelaxedValues(graph, map);
+  if (!values || (!suspected && !(Chi2At(graph, *values) < cost))) return std::nullopt;
   options.max_iterations = kMostIterations;
   options.relative_tolerance = 1e-6;
-  BatchResult<Pose> result = SolveBatch(map.Graph(), *values, options);
+  BatchResult<Pose> result = SolveBatch(graph, *values, options);
   if (!result.Converged() && result.termination != Termination::kMaxIterations) return std::nullopt;
   if (!(result.chi2 < kLower * cost)) return std::nullopt;
   return result;

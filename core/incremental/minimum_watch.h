@@ -25,10 +25,10 @@ class MinimumWatch {
   void NoteTried(const Map& map);
   // For Finish, which has time.
   bool IsSuspected(const Map& map) const;
-  // The minimum next to the chordal relaxation, if it is clearly below `cost`. Unless `suspected` the relaxation itself
-  // must be.
-  std::optional<BatchResult<Pose>> LowerMinimum(double cost, bool suspected, const Map& map,
-                                                BatchOptions options) const;
+  // The minimum next to the chordal relaxation of `graph`, which is the map's or has the factors of it that are
+  // believed, if it is clearly below `cost`. Unless `suspected` the relaxation itself must be.
+  std::optional<BatchResult<Pose>> LowerMinimum(double cost, bool suspected, const PoseGraph<Pose>& graph,
+                                                const Map& map, BatchOptions options) const;
   void NoteRestart(const Map& map);
   long Restarts() const { return restarts_; }
   void CountRestarts(long more) { restarts_ += more; }
