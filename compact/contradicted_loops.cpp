@@ -37,6 +37,7 @@ struct Explanation {
   std::vector<Pose> T_world_body;
   double cost = 0;                     // truncated least squares: a loop no more than k
   double wide_cost = 0;                // by the wider kernel
+  double open_cost = 0;                // by k as much wider, but no wider than the kernel
   std::vector<FactorId> contradicted;  // loops, by far
 };
 
@@ -64,11 +65,12 @@ class Judge {
   }
 
   Explanation<Pose> Weigh(std::vector<Pose> T_world_body) const {
-    Explanation<Pose> out{std::move(T_world_body), 0, 0, {}};
+    Explanation<Pose> out{std::move(T_world_body), 0, 0, 0, {}};
     for (const auto& node : graph_.Factors()) {
       const bool is_loop = std::binary_search(loops_.begin(), loops_.end(), node.id);
       const double chi2 = Chi2(node.factor, out.T_world_body);
       out.cost += is_loop ? std::min(chi2, k_) : chi2;
+      out.open_cost += is_loop ? std::min({chi2, kWider * kWider * k_, left_out_}) : chi2;
       out.wide_cost += is_loop ? std::min(chi2, kWider * kWider * left_out_) : chi2;
       // Wrong loops, local ones too, are farther off in 999 of 1000 cases, true ones seldom: none to two in a hundred
       // on most graphs, three on manhattan.
@@ -84,6 +86,10 @@ class Judge {
   // Cheaper, and of as many loops, or of many more: with little information on loops either alone is misleading.
   bool IsBetter(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
     return (a.cost < b.cost && Explained(a) >= Explained(b)) || ExplainsManyMore(a, b);
+  }
+  // With more loops in, of which the map knows little: true ones there may well be in the tail.
+  bool IsBetterWithOpen(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
+    return a.open_cost < b.open_cost && Explained(a) >= Explained(b);
   }
   std::size_t Explained(const Explanation<Pose>& by) const { return loops_.size() - by.contradicted.size(); }
 
@@ -134,7 +140,10 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
   next_to.robust_factors = LoopFactors(graph);
   next_to.graduate = false;
   const auto explain_next_to = [&](const std::vector<Pose>& T_world_body) {
-    return judge.Weigh(internal::SolveWithOpenLoops(graph, T_world_body, next_to).T_world_body);
+    const auto is_better = [&](const BatchResult<Pose>& with, const BatchResult<Pose>& before) {
+      return judge.IsBetterWithOpen(judge.Weigh(with.T_world_body), judge.Weigh(before.T_world_body));
+    };
+    return judge.Weigh(internal::SolveWithOpenLoops<Pose>(graph, T_world_body, next_to, is_better).T_world_body);
   };
   Explanation<Pose> best = explain_next_to(solved.T_world_body);
   const auto keep_if_better = [&](Explanation<Pose> other) {

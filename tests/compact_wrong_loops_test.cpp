@@ -99,8 +99,9 @@ TEST(CompactWrongLoops, IntelWithEveryOtherOneWrong) {
   }
 }
 
-// Odometry and the loops that others bear out leave some poses far off, and true loops there had 500 times the chi2 that
-// they have at the optimum: some of 2099 were given up, with two of which the map is 0.6 m from it, and 1.6 m without.
+// Odometry and the loops that others bear out leave some poses far off, and true loops there had 500 times the chi2
+// that they have at the optimum: some of 2099 were given up, with two of which the map is 0.6 m from it, and 1.6 m
+// without.
 TEST(CompactWrongLoops, TrueLoopsThatNothingHoldsAreNotGivenUp) {
   TERSE_NEEDS(path, "graphs/2d/manhattanOlson3500_isam.txt");
   const PoseGraph<SE2> graph = ReadPoseGraph<SE2>(path);

@@ -51,7 +51,14 @@ class Walk {
     return options;
   }
   BatchResult<Pose> Alone() const { return SolveBatch(graph_, composed_, Options()); }
-  BatchResult<Pose> WithOpen() const { return internal::SolveWithOpenLoops(graph_, composed_, Options()); }
+  BatchResult<Pose> WithOpen() const {
+    const BatchOptions options = Options();
+    const auto cost = [&](const BatchResult<Pose>& result) {
+      return internal::TruncatedCost(graph_, result.T_world_body, *options.robust_factors, options.robust.width);
+    };
+    return internal::SolveWithOpenLoops<Pose>(
+        graph_, composed_, options, [&](const auto& with, const auto& before) { return cost(with) < cost(before); });
+  }
   double WeightOf(FactorId id, const BatchResult<Pose>& result) const {
     std::size_t k = 0;
     for (const auto& node : graph_.Factors()) {
@@ -77,9 +84,7 @@ class Walk {
     sigma.template head<Pose::kDim>().setConstant(0.05 * scale);
     return sigma;
   }
-  Pose Noise(double scale) {
-    return Pose::Exp(Sigma(scale).cwiseProduct(random_.template NormalVector<Pose::kDof>()));
-  }
+  Pose Noise(double scale) { return Pose::Exp(Sigma(scale).cwiseProduct(random_.template NormalVector<Pose::kDof>())); }
   static typename Pose::Jacobian Information(double scale) {
     return Sigma(scale).cwiseAbs2().cwiseInverse().asDiagonal();
   }

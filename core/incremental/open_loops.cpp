@@ -133,20 +133,17 @@ double TruncatedCost(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_wo
 
 template <class Pose>
 BatchResult<Pose> SolveWithOpenLoops(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
-                                     const BatchOptions& options) {
-  const auto cost = [&](const BatchResult<Pose>& result) {
-    return TruncatedCost(graph, result.T_world_body, *options.robust_factors, options.robust.width);
-  };
+                                     const BatchOptions& options, const IsBetter<Pose>& is_better) {
   BatchResult<Pose> solved = SolveBatch(graph, T_world_body, options);
   for (int round = 0; round < kMostRounds && HasFactor(solved); ++round) {
     const std::vector<LoopOut<Pose>> open = OpenLoops(graph, solved, *options.robust_factors);
     const std::vector<FactorId> in = Compatible(open, solved);
     if (in.empty()) break;
     BatchResult<Pose> with = SolveWith(in, graph, solved.T_world_body, options);
-    const bool is_better = HasFactor(with) && cost(with) < cost(solved);
+    const bool come_in = HasFactor(with) && is_better(with, solved);
     Log(options.log, LogLevel::kInfo, "batch: ", open.size(), " loops left out though the map knows little of them, ",
-        in.size(), " agree, and ", is_better ? "come in" : "stay out");
-    if (!is_better) break;
+        in.size(), " agree, and ", come_in ? "come in" : "stay out");
+    if (!come_in) break;
     solved = std::move(with);
   }
   return solved;
@@ -158,7 +155,7 @@ BatchResult<Pose> SolveWithOpenLoops(const PoseGraph<Pose>& graph, const std::ve
   template double TruncatedCost<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&, const std::vector<FactorId>&, \
                                       double);                                                                        \
   template BatchResult<Pose> SolveWithOpenLoops<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&,               \
-                                                      const BatchOptions&);
+                                                      const BatchOptions&, const IsBetter<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE
