@@ -88,8 +88,7 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, c
   const InformationScale scale = CalibrateInformation(graph).scale;
   if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
   options.solver.robust = MapRobust({DefaultKernel(strategy)}, options);
-  const PoseGraph<Pose> scaled = scale.IsOne() ? PoseGraph<Pose>() : ScaleInformation(graph, scale);
-  LoopJury<Pose> jury(scale.IsOne() ? graph : scaled, options.solver.robust);
+  LoopJury<Pose> jury(graph, scale, options.solver.robust);
   const auto run_once = [&] {
     SampleThresholds(jury.Remaining(), options);
     return CompactGraph(jury.Remaining(), options, after_step);
@@ -98,7 +97,7 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, c
   CompactRun<Pose> run = run_once();
   if (jury.JudgeBy(run)) run = run_once();
   run.loops_left_out = jury.LeftOut();
-  run.information_scale = scale;
+  run.information_scale = jury.Scale();
   return run;
 }
 

@@ -181,15 +181,17 @@ std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph) {
 }
 
 template <class Pose>
-LoopJury<Pose>::LoopJury(const PoseGraph<Pose>& graph, const RobustOptions& robust, BatchOptions options)
-    : graph_(graph), options_(std::move(options)) {
+LoopJury<Pose>::LoopJury(const PoseGraph<Pose>& graph, const InformationScale& scale, const RobustOptions& robust,
+                         BatchOptions options)
+    : graph_(graph), scale_(scale), options_(std::move(options)) {
   options_.robust = robust;
+  if (!scale_.IsOne()) remaining_ = ScaleInformation(graph_, scale_);
 }
 
 template <class Pose>
 bool LoopJury<Pose>::JudgeAtFirst() {
   if (options_.robust.kernel != RobustKernel::kGnc) return false;
-  const std::string why = WhyLoopsAreInDoubt(graph_);
+  const std::string why = WhyLoopsAreInDoubt(Remaining());
   return !why.empty() && Judge(why, {});
 }
 
@@ -204,11 +206,21 @@ bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
 template <class Pose>
 bool LoopJury<Pose>::Judge(const std::string& why, std::vector<Pose> first) {
   if (on_judging) on_judging(why);
-  std::vector<FactorId> found = ContradictedLoops(graph_, std::move(first), options_);
+  // A scaled graph numbers its factors by their place.
+  std::optional<PoseGraph<Pose>> scaled;
+  if (!scale_.IsOne()) scaled = ScaleInformation(graph_, scale_);
+  std::vector<FactorId> found = ContradictedLoops(scaled ? *scaled : graph_, std::move(first), options_);
+  if (scaled) {
+    for (FactorId& id : found) id = graph_.Factors()[static_cast<std::size_t>(id.value)].id;
+    std::sort(found.begin(), found.end());
+  }
   if (found == left_out_) return false;
   left_out_ = std::move(found);
-  remaining_.reset();
-  if (!left_out_.empty()) remaining_ = WithoutFactors(graph_, left_out_);
+  remaining_ = WithoutFactors(graph_, left_out_);
+  if (scale_.IsOne()) return true;
+  const InformationScale again = CalibrateInformation(*remaining_).scale;
+  if (!again.IsOne()) scale_ = again;
+  remaining_ = ScaleInformation(*remaining_, scale_);
   return true;
 }
 

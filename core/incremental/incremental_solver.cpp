@@ -32,8 +32,10 @@ constexpr double kDiverging = 1e3;
 constexpr double kSameMinimum = 1e-3;
 // Of the loops: more than the tail of true ones.
 constexpr double kManyOut = 0.05;
-// Loops that go at once.
+// Loops that go at once; and by how much they have to have raised the minimum that they leave. Of two that are nearer
+// either may be the better one when more loops come.
 constexpr int kGroup = 2;
+constexpr double kTrapped = 2;
 // What a restart or a rescue takes, about, in relinearisations of everything.
 constexpr int kRestartRounds = 30;
 // With a budget that it may exceed, a map is rescued at every so many steps at most.
@@ -289,7 +291,7 @@ void IncrementalSolver<Pose>::Parts::RestartWithoutEvicted(Step& step) {
   const double cost = map.MinimumCost();
   const PoseGraph<Pose> believed = WithWeights(map.Graph(), judge.WeightsIn(map));
   const std::optional<BatchResult<Pose>> lower = watch.LowerMinimum(cost, true, believed, map, batch);
-  if (!lower || !MoveTo(lower->T_world_body, options)) return;
+  if (!lower || lower->chi2 * kTrapped > cost || !MoveTo(lower->T_world_body, options)) return;
   Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": a wrong minimum after loops went, chi2 ", cost,
       "; restarted from the chordal relaxation of what is in, chi2 ", lower->chi2);
   watch.NoteRestart(map);

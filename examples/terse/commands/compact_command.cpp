@@ -200,19 +200,16 @@ std::optional<TruePoses> ReadTruthOfAll(const CompactMap<Pose>& before, const Gr
   return ReadTruePoses<Pose>(ids, path);
 }
 
-// The graph that the run sees, and how its information came about.
-template <class Pose>
+// What it takes to make the information right, and how that came about.
 struct Calibrated {
-  PoseGraph<Pose> graph;
   InformationScale scale;
   nlohmann::ordered_json report;  // of stats.json
 };
 
 // A map goes on with the scales that it began with.
 template <class Pose>
-Calibrated<Pose> Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& before,
-                           const CompactCommandOptions& options) {
-  Calibrated<Pose> out;
+Calibrated Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& before, const CompactCommandOptions& options) {
+  Calibrated out;
   std::string message;
   if (!before.map.poses.empty()) {
     out.scale = before.information_scale;
@@ -226,7 +223,6 @@ Calibrated<Pose> Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& bef
   } else {
     out.report = {{"verdict", "off"}, {"sigma_scale", ToJson(out.scale)}};
   }
-  out.graph = out.scale.IsOne() ? graph : ScaleInformation(graph, out.scale);
   if (!out.scale.IsOne() && !options.quiet) std::cerr << "terse: note: " << options.path << ": " << message << '\n';
   return out;
 }
@@ -260,11 +256,9 @@ template <class Pose>
 nlohmann::ordered_json ToJson(const LoopJury<Pose>& jury, const PoseGraph<Pose>& graph,
                               const std::vector<std::string>& reasons, double seconds) {
   if (reasons.empty()) return nullptr;
-  nlohmann::ordered_json report = {{"loops", LoopFactors(graph).size()},
-                                   {"reasons", reasons},
-                                   {"left_out", jury.LeftOut().size()},
-                                   {"seconds", seconds},
-                                   {"links", nlohmann::ordered_json::array()}};
+  nlohmann::ordered_json report = {
+      {"loops", LoopFactors(graph).size()},  {"reasons", reasons}, {"left_out", jury.LeftOut().size()},
+      {"sigma_scale", ToJson(jury.Scale())}, {"seconds", seconds}, {"links", nlohmann::ordered_json::array()}};
   for (const FactorId id : jury.LeftOut()) {
     const FactorPoses ends = PosesOf(graph.FindFactor(id)->factor);
     report["links"].push_back({{"from", ends.first.value}, {"to", ends.second.value}});
@@ -281,14 +275,16 @@ GraphReplay<Pose> ReplayOf(const PoseGraph<Pose>& graph, const std::vector<PoseI
 template <class Pose>
 struct Judged {
   std::optional<Attempt<Pose>> attempt;
-  std::optional<PoseGraph<Pose>> graph;  // that it is of, if loops are left out
-  nlohmann::ordered_json report;         // of stats.json
+  PoseGraph<Pose> graph;          // that it is of
+  InformationScale scale;         // of it
+  nlohmann::ordered_json report;  // of stats.json
 };
 
-// `seen`: poses of the map that the run goes on with, which stays as it is: nothing is judged.
+// `scale`: of the graph's information. `seen`: poses of the map that the run goes on with, which stays as it is:
+// nothing is judged.
 template <class Pose>
-Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const CompactMap<Pose>& before, const std::vector<PoseId>& seen,
-                       const CompactCommandOptions& options, const TruePoses* known) {
+Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const InformationScale& scale, const CompactMap<Pose>& before,
+                       const std::vector<PoseId>& seen, const CompactCommandOptions& options, const TruePoses* known) {
   Progress progress("judging loops, iterations", 0, options.quiet);
   BatchOptions batch;
   batch.log = options.log;
@@ -298,7 +294,7 @@ Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const CompactMap<Pose>& bef
   };
   RobustOptions robust = options.robust.options;
   robust.kernel = seen.empty() ? options.robust.Kernel(*options.strategy) : RobustKernel::kNone;
-  LoopJury<Pose> jury(graph, robust, batch);
+  LoopJury<Pose> jury(graph, scale, robust, batch);
   std::vector<std::string> reasons;
   jury.on_judging = [&](const std::string& why) {
     reasons.push_back(why);
@@ -321,7 +317,8 @@ Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const CompactMap<Pose>& bef
   timed([&] { return jury.JudgeAtFirst(); });
   run_once();
   if (timed([&] { return jury.JudgeBy(out.attempt->run); })) run_once();
-  if (!jury.LeftOut().empty()) out.graph = jury.Remaining();
+  out.graph = jury.Remaining();
+  out.scale = jury.Scale();
   out.report = ToJson(jury, graph, reasons, seconds);
   return out;
 }
@@ -329,7 +326,7 @@ Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const CompactMap<Pose>& bef
 template <class Pose>
 void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, CompactCommandOptions options,
            double seconds_read, double start) {
-  Calibrated<Pose> calibrated = Calibrate(file_graph, before, options);
+  const Calibrated calibrated = Calibrate(file_graph, before, options);
   if (!calibrated.scale.IsOne() && options.innovation_quantile == kInnovationQuantile) {
     options.innovation_quantile = kInnovationQuantileOfScaled;
   }
@@ -337,7 +334,7 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
   for (const auto& pose : before.map.poses) seen.push_back(pose.id);
   std::optional<TruePoses> truth;
   {
-    const GraphReplay<Pose> replay = ReplayOf(calibrated.graph, seen);
+    const GraphReplay<Pose> replay = ReplayOf(file_graph, seen);
     if (!seen.empty() && replay.Inputs().empty() && !options.quiet) {
       std::cerr << "terse: warning: all poses of " << options.path << " are in " << options.continued
                 << " already: the map stays as it is\n";
@@ -347,13 +344,12 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
     truth = ReadTruthOfAll(before.map, replay, options.ground_truth);
   }
   const TruePoses* known = truth ? &*truth : nullptr;
-  Judged<Pose> judged = RunJudged(calibrated.graph, before.map, seen, options, known);
+  Judged<Pose> judged = RunJudged(file_graph, calibrated.scale, before.map, seen, options, known);
   auto& attempt = judged.attempt;
-  const PoseGraph<Pose>& graph = judged.graph ? *judged.graph : calibrated.graph;
   CompactRun<Pose>& run = attempt->run;
   if (options.retire) RetireFrom(run, *options.retire);
   const RunTrajectories trajectories = MakeRunTrajectories(run.slam, options.recovery, known);
-  Stats stats = MakeStats(graph, run, EvaluateRun(trajectories, Pose::kDim));
+  Stats stats = MakeStats(judged.graph, run, EvaluateRun(trajectories, Pose::kDim));
   stats.more["information"] = calibrated.report;
   if (!judged.report.is_null()) stats.more["loops_judged"] = judged.report;
   if (!attempt->sample.is_null()) stats.more["sample"] = attempt->sample;
@@ -370,7 +366,7 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
                                  options.recovery,
                                  options.read.rotation_information,
                                  before.rows,
-                                 calibrated.scale,
+                                 judged.scale,
                                  run.retired};
   stats.seconds_covariance = WriteRun(results, options.directory);
   stats.seconds_total = SecondsNow() - start;

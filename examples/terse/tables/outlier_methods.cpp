@@ -90,8 +90,7 @@ class MethodRun {
     options.solver.robust = MapRobust(Robust(), options);
     BatchOptions batch;
     batch.progress = [this](int, double) { return !limit_.IsOver(); };
-    const PoseGraph<Pose> scaled = ScaleInformation(with_.graph, scale);
-    LoopJury<Pose> jury(scaled, options.solver.robust, batch);
+    LoopJury<Pose> jury(with_.graph, scale, options.solver.robust, batch);
     const auto run_once = [&] {
       limit_.Check();
       SampleThresholds(jury.Remaining(), options);

@@ -13,6 +13,7 @@
 
 #include "terse/compact/compact_graph.h"
 #include "terse/core/robust.h"
+#include "terse/covariance/information_scale.h"
 
 namespace terse {
 
@@ -34,7 +35,9 @@ std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph);
 // which the kernel leaves a loop out. What is nearer the map judges for itself; slips of the odometry are not among
 // them. Explanations are, in this order: the optimum of all loops next to that by gnc of odometry and of the loops that
 // others near them bear out, which leaves few wrong ones in and the factor sparse; the optimum next to `first`; and,
-// where true loops stand alone, that of the whole by gnc. A later one has to contradict no more loops than the best
+// where true loops stand alone, that of the whole by gnc. The first two let in loops that they leave out although they
+// know little of what these measure (open_loops.h), if that contradicts no more and has less chi2, of a loop no more
+// than four times what one true one in a hundred exceeds. A later one has to contradict no more loops than the best
 // before it, and to have less chi2, of a loop no more than one true one in a hundred exceeds, or to explain one loop in
 // twenty more. Of up to 500 loops, that of the whole by a kernel twice as wide is a last one, which has to do the
 // latter at less chi2 as that kernel has it. `first`: values by pose index, such as those of a first map, or none.
@@ -45,16 +48,18 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
 
 // What of a graph a map is made of.
 //
-//     LoopJury<SE3> jury(graph, options.solver.robust);
+//     LoopJury<SE3> jury(graph, CalibrateInformation(graph).scale, options.solver.robust);
 //     jury.JudgeAtFirst();
 //     auto run = CompactGraph(jury.Remaining(), options);
 //     if (jury.JudgeBy(run)) run = CompactGraph(jury.Remaining(), options);
 template <class Pose>
 class LoopJury {
  public:
-  // `graph` is to outlive it. `robust`: of the map's solver; without kGnc there is nothing to judge. `options`: of the
-  // solves.
-  LoopJury(const PoseGraph<Pose>& graph, const RobustOptions& robust, BatchOptions options = {});
+  // `graph` is to outlive it, its information is stated. `scale`: what it takes to make it right (one: nothing), which
+  // is found again, by CalibrateInformation, of what remains when loops are left out: wrong ones spoil it. `robust`: of
+  // the map's solver; without kGnc there is nothing to judge. `options`: of the solves.
+  LoopJury(const PoseGraph<Pose>& graph, const InformationScale& scale, const RobustOptions& robust,
+           BatchOptions options = {});
   // Told why, before loops are judged.
   std::function<void(const std::string& why)> on_judging;
 
@@ -63,15 +68,18 @@ class LoopJury {
   // By a map of what remains, if its loops are in doubt. True if others are left out now, so that it is to be made
   // anew.
   bool JudgeBy(const CompactRun<Pose>& run);
-  const std::vector<FactorId>& LeftOut() const { return left_out_; }  // ascending
+  const std::vector<FactorId>& LeftOut() const { return left_out_; }  // of the graph, ascending
+  // Scaled, without those that are left out. The graph itself where neither is so.
   const PoseGraph<Pose>& Remaining() const { return remaining_ ? *remaining_ : graph_; }
+  const InformationScale& Scale() const { return scale_; }  // of what remains
 
  private:
   bool Judge(const std::string& why, std::vector<Pose> first);
   const PoseGraph<Pose>& graph_;
+  InformationScale scale_;
   BatchOptions options_;
   std::vector<FactorId> left_out_;
-  std::optional<PoseGraph<Pose>> remaining_;  // if some are left out
+  std::optional<PoseGraph<Pose>> remaining_;  // if it is not the graph
 };
 
 }  // namespace terse
