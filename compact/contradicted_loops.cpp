@@ -206,11 +206,13 @@ bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
 template <class Pose>
 bool LoopJury<Pose>::Judge(const std::string& why, std::vector<Pose> first) {
   if (on_judging) on_judging(why);
-  // A scaled graph numbers its factors by their place.
-  std::optional<PoseGraph<Pose>> scaled;
-  if (!scale_.IsOne()) scaled = ScaleInformation(graph_, scale_);
-  std::vector<FactorId> found = ContradictedLoops(scaled ? *scaled : graph_, std::move(first), options_);
-  if (scaled) {
+  std::vector<FactorId> found;
+  if (left_out_.empty() || scale_.IsOne()) {
+    found = ContradictedLoops(left_out_.empty() ? Remaining() : graph_, std::move(first), options_);
+  } else {
+    found = ContradictedLoops(ScaleInformation(graph_, scale_), std::move(first), options_);
+  }
+  if (!scale_.IsOne()) {  // a scaled graph numbers its factors by their place
     for (FactorId& id : found) id = graph_.Factors()[static_cast<std::size_t>(id.value)].id;
     std::sort(found.begin(), found.end());
   }

@@ -27,11 +27,11 @@ struct Drive {
   std::vector<SE2> truth;
 };
 
-Drive MakeCity(std::uint64_t seed) {
+Drive MakeCity(std::uint64_t seed, int poses = 1200) {
   Drive drive;
   GenerateOptions options;
   options.scene = Scene::kManhattan;
-  options.poses = 1200;
+  options.poses = poses;
   options.seed = seed;
   GenerateSink<SE2> sink;
   sink.pose = [&](PoseId id, const SE2& T) {
@@ -193,6 +193,49 @@ TEST(CompactWrongLoops, SuspectOnesAreJudgedBeforeThereIsAMap) {
     EXPECT_EQ(jury.Remaining().Factors().size(), with.graph.Factors().size() - jury.LeftOut().size());
     LoopJury<SE2> without_kernel(with.graph, {}, RobustOptions());
     EXPECT_FALSE(without_kernel.JudgeAtFirst());
+  }
+}
+
+// The unit matrix for information, and half of the loops wrong: what remains is calibrated again, as it is without
+// them, and what is left out are factors of the graph given, whose ids are not their places.
+TEST(CompactWrongLoops, InformationIsFoundAgainOfWhatRemains) {
+  const Drive drive = MakeCity(505, 500);
+  PoseGraph<SE2> stated;
+  for (const auto& node : drive.graph.Poses()) stated.AddPose(node.id);
+  for (const auto& node : drive.graph.Factors()) {
+    auto edge = std::get<RelativePoseFactor<SE2>>(node.factor);
+    edge.information.setIdentity();
+    stated.AddFactor(edge);
+  }
+  auto with = AddWrongLoops(stated, drive.truth, 100, 505, OutlierKind::kRandom);
+  const FactorId first_loop = LoopFactors(stated).front();  // of the first factors, so that the others move up
+  const auto removed = std::get<RelativePoseFactor<SE2>>(stated.FindFactor(first_loop)->factor);
+  for (const auto& node : with.graph.Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    if (ends.first != removed.from || ends.second != removed.to) continue;
+    with.graph.RemoveFactor(node.id);
+    break;
+  }
+  const InformationScale scale = CalibrateInformation(with.graph).scale;
+  ASSERT_FALSE(scale.IsOne());
+  LoopJury<SE2> jury(with.graph, scale, {RobustKernel::kGnc});
+  ASSERT_TRUE(jury.JudgeAtFirst());
+  std::vector<FactorId> wrong = with.wrong, missed;
+  std::sort(wrong.begin(), wrong.end());
+  std::set_symmetric_difference(wrong.begin(), wrong.end(), jury.LeftOut().begin(), jury.LeftOut().end(),
+                                std::back_inserter(missed));
+  EXPECT_LE(static_cast<double>(missed.size()), 0.02 * static_cast<double>(wrong.size()));
+  const PoseGraph<SE2> left = WithoutFactors(with.graph, jury.LeftOut());
+  const InformationScale again = CalibrateInformation(left).scale;
+  EXPECT_EQ(jury.Scale().odometry.translation, again.odometry.translation);
+  EXPECT_EQ(jury.Scale().loops.rotation, again.loops.rotation);
+  EXPECT_NE(jury.Scale().loops.translation, scale.loops.translation) << "or wrong loops spoiled nothing";
+  const PoseGraph<SE2> expected = ScaleInformation(left, again);
+  ASSERT_EQ(jury.Remaining().Factors().size(), expected.Factors().size());
+  for (std::size_t k = 0; k < expected.Factors().size(); ++k) {
+    const auto& a = std::get<RelativePoseFactor<SE2>>(jury.Remaining().Factors()[k].factor);
+    const auto& b = std::get<RelativePoseFactor<SE2>>(expected.Factors()[k].factor);
+    EXPECT_EQ(a.information, b.information);
   }
 }
 

@@ -90,6 +90,7 @@ struct IncrementalSolver<Pose>::Parts {
   bool MoveTo(const std::vector<Pose>& T_world_body, const IncrementalOptions& options);
   void RestartIfLower(Step& step);
   void RestartWithoutEvicted(Step& step);
+  bool TakeRestart(const BatchResult<Pose>& lower, Step& step);
   void RescueIfDiverging(const internal::UpdatePlan<Pose>& plan, Step& step);
 };
 
@@ -264,39 +265,43 @@ void IncrementalSolver<Pose>::Parts::RestartIfLower(Step& step) {
   // Still on its way: the next steps bring most such maps to rest in as good a minimum by themselves.
   if (cost > internal::kSettled * map.MinimumCost()) return;
   watch.NoteTried(map);
+  const double explained = watch.Explained();
   BatchOptions batch;
   batch.threads = options.threads;
   const std::optional<BatchResult<Pose>> lower = watch.LowerMinimum(cost, true, map.Graph(), map, batch);
-  if (!lower || !MoveTo(lower->T_world_body, options)) {
-    Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": chi2 ", cost, ", the innovations explain ",
-        watch.Explained(), "; a restart from the chordal relaxation finds nothing lower");
+  if (!lower || !TakeRestart(*lower, step)) {
+    Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": chi2 ", cost, ", the innovations explain ", explained,
+        "; a restart from the chordal relaxation finds nothing lower");
     return;
   }
   Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": a wrong minimum, chi2 ", cost,
-      ", the innovations explain ", watch.Explained(), "; restarted from the chordal relaxation, chi2 ", lower->chi2);
+      ", the innovations explain ", explained, "; restarted from the chordal relaxation, chi2 ", lower->chi2);
+}
+
+template <class Pose>
+bool IncrementalSolver<Pose>::Parts::TakeRestart(const BatchResult<Pose>& lower, Step& step) {
+  if (!MoveTo(lower.T_world_body, step.options)) return false;
   watch.NoteRestart(map);
   step.report.restarted = true;
   step.report.variables_moved = step.report.variables_relinearised = map.Cholesky().Variables();
+  return true;
 }
 
 // kGnc: where a group of wrong loops was believed and is found out, the map may be bent so far that it comes to rest in
-// a wrong minimum, and from there true loops look wrong.
+// a wrong minimum, and from there true loops look wrong. A map that is lost is worse than a step that takes too long.
 template <class Pose>
 void IncrementalSolver<Pose>::Parts::RestartWithoutEvicted(Step& step) {
   const IncrementalOptions& options = step.options;
   const bool may = options.robust.kernel == RobustKernel::kGnc && options.carry == Carry::kOffset && options.restart;
-  if (judge.TakeEvicted() < kGroup || !may || !MayTakeLong(options)) return;
+  if (judge.TakeEvicted() < kGroup || !may) return;
   BatchOptions batch;
   batch.threads = options.threads;
   const double cost = map.MinimumCost();
   const PoseGraph<Pose> believed = WithWeights(map.Graph(), judge.WeightsIn(map));
   const std::optional<BatchResult<Pose>> lower = watch.LowerMinimum(cost, true, believed, map, batch);
-  if (!lower || lower->chi2 * kTrapped > cost || !MoveTo(lower->T_world_body, options)) return;
+  if (!lower || lower->chi2 * kTrapped > cost || !TakeRestart(*lower, step)) return;
   Log(options.log, LogLevel::kInfo, "step ", map.Updates(), ": a wrong minimum after loops went, chi2 ", cost,
       "; restarted from the chordal relaxation of what is in, chi2 ", lower->chi2);
-  watch.NoteRestart(map);
-  step.report.restarted = true;
-  step.report.variables_moved = step.report.variables_relinearised = map.Cholesky().Variables();
 }
 
 // kGnc: a loop that went again while the map was on its way to it can leave the map where full steps lead nowhere. Then

@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdlib>
 #include <map>
 #include <set>
 #include <vector>
 
 #include "incremental/loop_judge.h"
 #include "terse/core/front_paths.h"
-#include "terse/core/log_message.h"
 
 namespace terse::internal {
 namespace {

@@ -100,12 +100,9 @@ class Selector {
     next_to.graduate = false;
     next_to.robust.width = selection.width;
     next_to.robust_factors = selection.robust_factors;
-    const auto cost = [&](const BatchResult<Pose>& result) {
-      return TruncatedCost(graph_, result.T_world_body, selection.robust_factors, selection.width);
-    };
-    const BatchResult<Pose> solved =
-        SolveWithOpenLoops<Pose>(graph_, selection.T_world_body, next_to,
-                                 [&](const auto& with, const auto& before) { return cost(with) < cost(before); });
+    const BatchResult<Pose> solved = SolveWithOpenLoops<Pose>(
+        graph_, selection.T_world_body, next_to,
+        [](const auto& with, const auto& before) { return with.robust_cost < before.robust_cost; });
     if (solved.cholesky.Variables() == 0) return std::nullopt;  // singular
     selection.T_world_body = solved.T_world_body;
     Verdict out;

@@ -54,24 +54,25 @@ double SquaredByFar(const BatchResult<Pose>& solved) {
   return kByFar * solved.robust_width * solved.robust_width;
 }
 
-// Of the robust factors those that are out, but not by far; not all if they are many.
+// Of the robust factors those that are out, but not by far, the most likely ones. Their columns are made twice, so that
+// those of all are never held.
 template <class Pose>
 std::vector<LoopOut<Pose>> OpenLoops(const PoseGraph<Pose>& graph, const BatchResult<Pose>& solved,
                                      const std::vector<FactorId>& robust) {
-  std::vector<std::pair<double, LoopOut<Pose>>> open;
+  std::vector<std::pair<double, FactorId>> open;
   std::size_t k = 0;
   for (const auto& node : graph.Factors()) {
     const double weight = solved.weights[k++];
     const auto* loop = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
     if (weight > 0 || loop == nullptr || !std::binary_search(robust.begin(), robust.end(), node.id)) continue;
-    LoopOut<Pose> out(node.id, *loop, graph, solved);
-    const double innovation = out.Innovation();
-    if (innovation <= SquaredByFar(solved)) open.emplace_back(innovation, std::move(out));
+    const double innovation = InnovationOf(*loop, graph, solved);
+    if (innovation <= SquaredByFar(solved)) open.emplace_back(innovation, node.id);
   }
-  std::sort(open.begin(), open.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  std::sort(open.begin(), open.end());
+  if (open.size() > MostOpen(Pose::kDof)) open.resize(MostOpen(Pose::kDof));
   std::vector<LoopOut<Pose>> likely;
-  for (auto& entry : open) {
-    if (likely.size() < MostOpen(Pose::kDof)) likely.push_back(std::move(entry.second));
+  for (const auto& [innovation, id] : open) {
+    likely.emplace_back(id, std::get<RelativePoseFactor<Pose>>(graph.FindFactor(id)->factor), graph, solved);
   }
   return likely;
 }
@@ -137,6 +138,7 @@ BatchResult<Pose> SolveWithOpenLoops(const PoseGraph<Pose>& graph, const std::ve
   BatchResult<Pose> solved = SolveBatch(graph, T_world_body, options);
   for (int round = 0; round < kMostRounds && HasFactor(solved); ++round) {
     const std::vector<LoopOut<Pose>> open = OpenLoops(graph, solved, *options.robust_factors);
+    if (open.empty()) break;
     const std::vector<FactorId> in = Compatible(open, solved);
     if (in.empty()) break;
     BatchResult<Pose> with = SolveWith(in, graph, solved.T_world_body, options);

@@ -109,7 +109,8 @@ struct IncrementalOptions {
 
   // A step after which the map seems to sit in a wrong minimum, and Finish, try a chordal relaxation of the graph and
   // go on from there if it costs less (core/incremental/minimum_watch.h). kOffset, without a robust kernel, and in a
-  // step only where that should fit into the budget.
+  // step only where that should fit into the budget. With kGnc where loops that were believed go together, of what is
+  // left, and whatever the budget: such a map is lost.
   bool restart = true;
 
   // At most, and only where a step's work is large; the result is the same to the last bit for any number.

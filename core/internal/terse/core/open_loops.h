@@ -25,12 +25,13 @@ template <class Pose>
 double TruncatedCost(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
                      const std::vector<FactorId>& robust, double width);
 
+template <class Pose>
+using IsBetter = std::function<bool(const BatchResult<Pose>& with, const BatchResult<Pose>& before)>;
+
 // The optimum next to `T_world_body`, or the one next to it with loops that it left out though they are not wrong by
 // far: all that agree with each other and with the map, if the caller finds that better, and as long as it does.
 // `options.robust_factors` are to be given, and `options.graduate` not; its kernel is truncated least squares (kGnc) of
 // the width given. Throws as SolveBatch does.
-template <class Pose>
-using IsBetter = std::function<bool(const BatchResult<Pose>& with, const BatchResult<Pose>& before)>;
 template <class Pose>
 BatchResult<Pose> SolveWithOpenLoops(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body,
                                      const BatchOptions& options, const IsBetter<Pose>& is_better);
