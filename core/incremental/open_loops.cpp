@@ -71,6 +71,7 @@ std::vector<LoopOut<Pose>> OpenLoops(const PoseGraph<Pose>& graph, const BatchRe
   std::sort(open.begin(), open.end());
   if (open.size() > MostOpen(Pose::kDof)) open.resize(MostOpen(Pose::kDof));
   std::vector<LoopOut<Pose>> likely;
+  likely.reserve(open.size());
   for (const auto& [innovation, id] : open) {
     likely.emplace_back(id, std::get<RelativePoseFactor<Pose>>(graph.FindFactor(id)->factor), graph, solved);
   }
