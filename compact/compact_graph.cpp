@@ -85,10 +85,10 @@ template <class Pose>
 CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, const AfterStep<Pose>& after_step) {
   CompactOptions<Pose> options;
   options.strategy = strategy;
-  const InformationScale scale = CalibrateInformation(graph).scale;
-  if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
+  const InformationCalibration information = CalibrateInformation(graph);
+  if (!information.scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
   options.solver.robust = MapRobust({DefaultKernel(strategy)}, options);
-  LoopJury<Pose> jury(graph, scale, options.solver.robust);
+  LoopJury<Pose> jury(graph, information, options.solver.robust);
   const auto run_once = [&] {
     SampleThresholds(jury.Remaining(), options);
     return CompactGraph(jury.Remaining(), options, after_step);

@@ -181,9 +181,12 @@ std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph) {
 }
 
 template <class Pose>
-LoopJury<Pose>::LoopJury(const PoseGraph<Pose>& graph, const InformationScale& scale, const RobustOptions& robust,
-                         BatchOptions options)
-    : graph_(graph), scale_(scale), options_(std::move(options)) {
+LoopJury<Pose>::LoopJury(const PoseGraph<Pose>& graph, const InformationCalibration& information,
+                         const RobustOptions& robust, BatchOptions options)
+    : graph_(graph),
+      scale_(information.scale),
+      without_caution_(information.without_caution),
+      options_(std::move(options)) {
   options_.robust = robust;
   if (!scale_.IsOne()) remaining_ = ScaleInformation(graph_, scale_);
 }
@@ -206,13 +209,12 @@ bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
 template <class Pose>
 bool LoopJury<Pose>::Judge(const std::string& why, std::vector<Pose> first) {
   if (on_judging) on_judging(why);
+  const InformationScale& judged = scale_.IsOne() ? without_caution_ : scale_;
   std::vector<FactorId> found;
-  if (left_out_.empty() || scale_.IsOne()) {
-    found = ContradictedLoops(left_out_.empty() ? Remaining() : graph_, std::move(first), options_);
-  } else {
-    found = ContradictedLoops(ScaleInformation(graph_, scale_), std::move(first), options_);
-  }
-  if (!scale_.IsOne()) {  // a scaled graph numbers its factors by their place
+  if (judged.IsOne()) {
+    found = ContradictedLoops(graph_, std::move(first), options_);
+  } else {  // a scaled graph numbers its factors by their place
+    found = ContradictedLoops(ScaleInformation(graph_, judged), std::move(first), options_);
     for (FactorId& id : found) id = graph_.Factors()[static_cast<std::size_t>(id.value)].id;
     std::sort(found.begin(), found.end());
   }

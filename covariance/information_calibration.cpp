@@ -14,6 +14,8 @@ namespace {
 
 // Between stated and found standard deviations.
 constexpr double kLarger = 2, kSmaller = 3, kSmallerConstant = 20;
+// Times the standard deviations found, where caution is taken away for judging loops.
+constexpr double kReserve = 3;
 constexpr double kDegrees = 180 / 3.14159265358979323846;
 
 struct Band {
@@ -53,6 +55,13 @@ double AgreeingLoops(double sigma_factor) {
 std::array<const ScaleEstimate*, 4> All(const InformationEstimate& estimate) {
   return {&estimate.odometry.translation, &estimate.odometry.rotation, &estimate.loops.translation,
           &estimate.loops.rotation};
+}
+
+KindScale ScaleOf(const KindEstimate& kind) { return {kind.translation.sigma_factor, kind.rotation.sigma_factor}; }
+// A few measurements are off by more than most are: a robot's wheels slip, a scan matches one door too far.
+KindScale WithReserve(const KindEstimate& kind) {
+  const KindScale scale = ScaleOf(kind);
+  return {std::min(1.0, kReserve * scale.translation), std::min(1.0, kReserve * scale.rotation)};
 }
 
 std::string Sigmas(double translation_m, double rotation_rad) {
@@ -137,11 +146,11 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
     out.message = OthersAreWrong(found.agreeing_loops);
   } else if (!is_too_certain && !is_too_cautious) {
     out.verdict = InformationVerdict::kConsistent;
+    out.without_caution = {WithReserve(found.odometry), WithReserve(found.loops)};
     out.message = "the information is left as it is: residuals are " + Times(found) + " as large as it says";
   } else {
     out.verdict = InformationVerdict::kContradicted;
-    out.scale = {{found.odometry.translation.sigma_factor, found.odometry.rotation.sigma_factor},
-                 {found.loops.translation.sigma_factor, found.loops.rotation.sigma_factor}};
+    out.scale = {ScaleOf(found.odometry), ScaleOf(found.loops)};
     const auto part = [](const char* name, const StatedKind& stated, const KindEstimate& kind) {
       return stated.edges == 0 ? std::string()
                                : name + Found(stated, kind) + " instead of the stated " + Stated(stated);

@@ -216,9 +216,9 @@ TEST(CompactWrongLoops, InformationIsFoundAgainOfWhatRemains) {
     with.graph.RemoveFactor(node.id);
     break;
   }
-  const InformationScale scale = CalibrateInformation(with.graph).scale;
-  ASSERT_FALSE(scale.IsOne());
-  LoopJury<SE2> jury(with.graph, scale, {RobustKernel::kGnc});
+  const InformationCalibration information = CalibrateInformation(with.graph);
+  ASSERT_FALSE(information.scale.IsOne());
+  LoopJury<SE2> jury(with.graph, information, {RobustKernel::kGnc});
   ASSERT_TRUE(jury.JudgeAtFirst());
   std::vector<FactorId> wrong = with.wrong, missed;
   std::sort(wrong.begin(), wrong.end());
@@ -229,7 +229,7 @@ TEST(CompactWrongLoops, InformationIsFoundAgainOfWhatRemains) {
   const InformationScale again = CalibrateInformation(left).scale;
   EXPECT_EQ(jury.Scale().odometry.translation, again.odometry.translation);
   EXPECT_EQ(jury.Scale().loops.rotation, again.loops.rotation);
-  EXPECT_NE(jury.Scale().loops.translation, scale.loops.translation) << "or wrong loops spoiled nothing";
+  EXPECT_NE(jury.Scale().loops.translation, information.scale.loops.translation) << "or wrong loops spoiled nothing";
   const PoseGraph<SE2> expected = ScaleInformation(left, again);
   ASSERT_EQ(jury.Remaining().Factors().size(), expected.Factors().size());
   for (std::size_t k = 0; k < expected.Factors().size(); ++k) {

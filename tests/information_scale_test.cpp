@@ -344,6 +344,35 @@ TEST(InformationScale, DrawsHaveTheVariancesOfResiduals) {
   }
 }
 
+// Each edge's own matrix, with standard deviations so many times too large.
+PoseGraph<SE2> TooCautious(std::uint64_t seed, double times) {
+  const auto graph = Simulated<SE2>(Scene::kManhattan, 600, seed);
+  PoseGraph<SE2> out;
+  for (const auto& node : graph.Poses()) out.AddPose(node.id);
+  int k = 0;
+  for (const auto& node : graph.Factors()) {
+    auto factor = std::get<RelativePoseFactor<SE2>>(node.factor);
+    factor.information *= (1 + 0.2 * std::sin(++k)) / (times * times);
+    out.AddFactor(factor);
+  }
+  return out;
+}
+
+// It is left alone, but what is judged by it is judged with less of it, and never with more than is stated.
+TEST(InformationScale, CautionIsTakenAwayForJudging) {
+  for (const std::uint64_t seed : {21U, 22U}) {
+    const auto found = CalibrateInformation(TooCautious(seed, 12));
+    EXPECT_EQ(found.verdict, InformationVerdict::kConsistent) << found.message;
+    EXPECT_TRUE(found.scale.IsOne());
+    const KindScale& odometry = found.without_caution.odometry;
+    EXPECT_NEAR(std::log(odometry.translation * 12 / 3), 0, std::log(1.3)) << seed;
+    EXPECT_NEAR(std::log(odometry.rotation * 12 / 3), 0, std::log(1.3)) << seed;
+    for (const double times : {1.0, 2.0}) {
+      EXPECT_TRUE(CalibrateInformation(TooCautious(seed, times)).without_caution.IsOne()) << seed << ' ' << times;
+    }
+  }
+}
+
 TEST(InformationScale, WithoutLoopsNothingIsKnown) {
   auto graph = Simulated<SE2>(Scene::kManhattan, 100, 1);
   PoseGraph<SE2> chain;

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <vector>
 
+#include "loop_weights.h"
 #include "shared_data.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/incremental_solver.h"
@@ -59,14 +60,7 @@ class Walk {
     return internal::SolveWithOpenLoops<Pose>(
         graph_, composed_, options, [&](const auto& with, const auto& before) { return cost(with) < cost(before); });
   }
-  double WeightOf(FactorId id, const BatchResult<Pose>& result) const {
-    std::size_t k = 0;
-    for (const auto& node : graph_.Factors()) {
-      if (node.id == id) break;
-      ++k;
-    }
-    return result.weights[k];
-  }
+  double WeightOf(FactorId id, const BatchResult<Pose>& result) const { return testing::WeightOf(graph_, id, result); }
   double Off(const BatchResult<Pose>& result, int pose) const {
     return (result.T_world_body[Index(pose)].Translation() - truth_[Index(pose)].Translation()).norm();
   }

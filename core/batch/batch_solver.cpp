@@ -13,6 +13,7 @@
 #include "support/stopwatch.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/error.h"
+#include "terse/core/hanging_loops.h"
 #include "terse/core/log_message.h"
 #include "terse/core/number_text.h"
 #include "terse/core/start_values.h"
@@ -374,12 +375,16 @@ BatchResult<Pose> SolveBatch(const PoseGraph<Pose>& graph, const std::vector<Pos
   }
   BatchResult<Pose> result = Run<Pose>(graph, selected ? selected->T_world_body : initial, from_there).Execute();
   // With all loops at once the factor fills up: only where that costs little.
-  const bool tries_both = selected && !is_stopped && LoopFactors(graph).size() <= kMostGraduated;
-  if (!tries_both) return result;
-  BatchOptions anew = options;
-  anew.robust.width = selected->width;  // of one width, for costs of different ones are not comparable
-  BatchResult<Pose> graduated = Run<Pose>(graph, initial, anew).Execute();
-  return graduated.robust_cost < result.robust_cost * (1 - 1e-9) ? std::move(graduated) : std::move(result);
+  if (selected && !is_stopped && LoopFactors(graph).size() <= kMostGraduated) {
+    BatchOptions anew = options;
+    anew.robust.width = selected->width;  // of one width, for costs of different ones are not comparable
+    BatchResult<Pose> graduated = Run<Pose>(graph, initial, anew).Execute();
+    if (graduated.robust_cost < result.robust_cost * (1 - 1e-9)) result = std::move(graduated);
+  }
+  if (is_stopped) return result;
+  if (!selected) from_there.robust_factors = LoopFactors(graph);
+  std::optional<BatchResult<Pose>> without = internal::WithoutHangingLoops(graph, result, from_there);
+  return without ? std::move(*without) : std::move(result);
 }
 
 template <class Pose>

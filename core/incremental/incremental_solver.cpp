@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <optional>
 #include <stdexcept>
@@ -15,6 +16,7 @@
 #include "incremental/steps.h"
 #include "support/stopwatch.h"
 #include "terse/core/error.h"
+#include "terse/core/hanging_loops.h"
 #include "terse/core/initial_values.h"
 #include "terse/core/log_message.h"
 #include "terse/core/observability.h"
@@ -76,6 +78,8 @@ struct IncrementalSolver<Pose>::Parts {
            StepReport& report);
   std::optional<BatchResult<Pose>> SelectAnew(const BatchResult<Pose>& finished, const BatchOptions& given,
                                               const IncrementalOptions& options) const;
+  std::optional<BatchResult<Pose>> LetGoHanging(const BatchResult<Pose>& finished, const BatchOptions& given,
+                                                const IncrementalOptions& options) const;
   BatchResult<Pose> TakeOptimum(BatchResult<Pose> result, const IncrementalOptions& options);
   [[noreturn]] void ThrowSingularUpdate(const GraphUpdate<Pose>& update, const internal::UpdatePlan<Pose>& plan,
                                         int failed_variable) const;
@@ -372,9 +376,12 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
     BatchResult<Pose> result = FinishFrom(Estimates(), options);
     if (!options.graduate || result.termination == Termination::kNotPositiveDefinite) return result;
     std::optional<BatchResult<Pose>> cheaper = parts_->SelectAnew(result, options, options_);
-    if (!cheaper) return result;
-    judge.LimitWidth(cheaper->robust_width);
-    return parts_->TakeOptimum(std::move(*cheaper), options_);
+    if (cheaper) {
+      judge.LimitWidth(cheaper->robust_width);
+      result = parts_->TakeOptimum(std::move(*cheaper), options_);
+    }
+    std::optional<BatchResult<Pose>> freed = parts_->LetGoHanging(result, options, options_);
+    return freed ? parts_->TakeOptimum(std::move(*freed), options_) : std::move(result);
   }
   return FinishFrom(Estimates(), options);
 }
@@ -408,6 +415,22 @@ std::optional<BatchResult<Pose>> IncrementalSolver<Pose>::Parts::SelectAnew(cons
   BatchResult<Pose> result = SolveBatch(graph, selected->T_world_body, anew);
   if (result.termination == Termination::kNotPositiveDefinite) return std::nullopt;
   return result;
+}
+
+// The optimum without loops that hold a part of the map where odometry would not have it, if that is a better one.
+template <class Pose>
+std::optional<BatchResult<Pose>> IncrementalSolver<Pose>::Parts::LetGoHanging(const BatchResult<Pose>& finished,
+                                                                              const BatchOptions& given,
+                                                                              const IncrementalOptions& options) const {
+  const PoseGraph<Pose>& graph = map.Graph();
+  if (!internal::IsConnected(graph)) return std::nullopt;
+  BatchOptions judged = given;
+  judged.robust = options.robust;
+  if (!judged.log) judged.log = options.log;
+  const std::vector<FactorId> loops = LoopFactors(graph), slips = SlippedOdometry(graph, finished.weights);
+  judged.robust_factors.emplace();
+  std::set_union(loops.begin(), loops.end(), slips.begin(), slips.end(), std::back_inserter(*judged.robust_factors));
+  return internal::WithoutHangingLoops(graph, finished, judged);
 }
 
 template <class Pose>

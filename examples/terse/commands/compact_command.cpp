@@ -202,7 +202,7 @@ std::optional<TruePoses> ReadTruthOfAll(const CompactMap<Pose>& before, const Gr
 
 // What it takes to make the information right, and how that came about.
 struct Calibrated {
-  InformationScale scale;
+  InformationCalibration found;
   nlohmann::ordered_json report;  // of stats.json
 };
 
@@ -212,18 +212,18 @@ Calibrated Calibrate(const PoseGraph<Pose>& graph, const Before<Pose>& before, c
   Calibrated out;
   std::string message;
   if (!before.map.poses.empty()) {
-    out.scale = before.information_scale;
-    out.report = {{"verdict", "continued"}, {"sigma_scale", ToJson(out.scale)}};
+    out.found.scale = before.information_scale;
+    out.report = {{"verdict", "continued"}, {"sigma_scale", ToJson(out.found.scale)}};
     message = "standard deviations scaled as in " + options.continued;
   } else if (options.calibrate) {
-    const InformationCalibration found = CalibrateInformation(graph);
-    out.scale = found.scale;
-    out.report = ToJson(found);
-    message = found.message + "; scaled to these (--calibrate-information off leaves it)";
+    out.found = CalibrateInformation(graph);
+    out.report = ToJson(out.found);
+    message = out.found.message + "; scaled to these (--calibrate-information off leaves it)";
   } else {
-    out.report = {{"verdict", "off"}, {"sigma_scale", ToJson(out.scale)}};
+    out.report = {{"verdict", "off"}, {"sigma_scale", ToJson(out.found.scale)}};
   }
-  if (!out.scale.IsOne() && !options.quiet) std::cerr << "terse: note: " << options.path << ": " << message << '\n';
+  if (!out.found.scale.IsOne() && !options.quiet)
+    std::cerr << "terse: note: " << options.path << ": " << message << '\n';
   return out;
 }
 
@@ -280,11 +280,12 @@ struct Judged {
   nlohmann::ordered_json report;  // of stats.json
 };
 
-// `scale`: of the graph's information. `seen`: poses of the map that the run goes on with, which stays as it is:
+// `seen`: poses of the map that the run goes on with, which stays as it is:
 // nothing is judged.
 template <class Pose>
-Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const InformationScale& scale, const CompactMap<Pose>& before,
-                       const std::vector<PoseId>& seen, const CompactCommandOptions& options, const TruePoses* known) {
+Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const InformationCalibration& information,
+                       const CompactMap<Pose>& before, const std::vector<PoseId>& seen,
+                       const CompactCommandOptions& options, const TruePoses* known) {
   Progress progress("judging loops, iterations", 0, options.quiet);
   BatchOptions batch;
   batch.log = options.log;
@@ -294,7 +295,7 @@ Judged<Pose> RunJudged(const PoseGraph<Pose>& graph, const InformationScale& sca
   };
   RobustOptions robust = options.robust.options;
   robust.kernel = seen.empty() ? options.robust.Kernel(*options.strategy) : RobustKernel::kNone;
-  LoopJury<Pose> jury(graph, scale, robust, batch);
+  LoopJury<Pose> jury(graph, information, robust, batch);
   std::vector<std::string> reasons;
   jury.on_judging = [&](const std::string& why) {
     reasons.push_back(why);
@@ -327,7 +328,7 @@ template <class Pose>
 void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, CompactCommandOptions options,
            double seconds_read, double start) {
   const Calibrated calibrated = Calibrate(file_graph, before, options);
-  if (!calibrated.scale.IsOne() && options.innovation_quantile == kInnovationQuantile) {
+  if (!calibrated.found.scale.IsOne() && options.innovation_quantile == kInnovationQuantile) {
     options.innovation_quantile = kInnovationQuantileOfScaled;
   }
   std::vector<PoseId> seen;
@@ -344,7 +345,7 @@ void RunOn(const PoseGraph<Pose>& file_graph, const Before<Pose>& before, Compac
     truth = ReadTruthOfAll(before.map, replay, options.ground_truth);
   }
   const TruePoses* known = truth ? &*truth : nullptr;
-  Judged<Pose> judged = RunJudged(file_graph, calibrated.scale, before.map, seen, options, known);
+  Judged<Pose> judged = RunJudged(file_graph, calibrated.found, before.map, seen, options, known);
   auto& attempt = judged.attempt;
   CompactRun<Pose>& run = attempt->run;
   if (options.retire) RetireFrom(run, *options.retire);

@@ -85,12 +85,12 @@ class MethodRun {
     const AfterStep<Pose> watch = [this](const CompactPoseSlam<Pose>&, const Decision&, double) { limit_.Check(); };
     CompactOptions<Pose> options;
     options.strategy = method_.strategy.value_or(options.strategy);
-    const InformationScale scale = CalibrateInformation(with_.graph).scale;
-    if (!scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
+    const InformationCalibration information = CalibrateInformation(with_.graph);
+    if (!information.scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
     options.solver.robust = MapRobust(Robust(), options);
     BatchOptions batch;
     batch.progress = [this](int, double) { return !limit_.IsOver(); };
-    LoopJury<Pose> jury(with_.graph, scale, options.solver.robust, batch);
+    LoopJury<Pose> jury(with_.graph, information, options.solver.robust, batch);
     const auto run_once = [&] {
       limit_.Check();
       SampleThresholds(jury.Remaining(), options);

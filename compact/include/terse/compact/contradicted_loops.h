@@ -48,17 +48,18 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
 
 // What of a graph a map is made of.
 //
-//     LoopJury<SE3> jury(graph, CalibrateInformation(graph).scale, options.solver.robust);
+//     LoopJury<SE3> jury(graph, CalibrateInformation(graph), options.solver.robust);
 //     jury.JudgeAtFirst();
 //     auto run = CompactGraph(jury.Remaining(), options);
 //     if (jury.JudgeBy(run)) run = CompactGraph(jury.Remaining(), options);
 template <class Pose>
 class LoopJury {
  public:
-  // `graph` is to outlive it, its information is stated. `scale`: what it takes to make it right (one: nothing), which
-  // is found again, by CalibrateInformation, of what remains when loops are left out: wrong ones spoil it. `robust`: of
-  // the map's solver; without kGnc there is nothing to judge. `options`: of the solves.
-  LoopJury(const PoseGraph<Pose>& graph, const InformationScale& scale, const RobustOptions& robust,
+  // `graph` is to outlive it, its information is stated. `information`: what CalibrateInformation finds of it, or
+  // nothing. Its scale is found again of what remains when loops are left out: wrong ones spoil it. Information that is
+  // too cautious is judged as residuals say, whether or not the map is made with it as it is. `robust`: of the map's
+  // solver; without kGnc there is nothing to judge. `options`: of the solves.
+  LoopJury(const PoseGraph<Pose>& graph, const InformationCalibration& information, const RobustOptions& robust,
            BatchOptions options = {});
   // Told why, before loops are judged.
   std::function<void(const std::string& why)> on_judging;
@@ -77,6 +78,7 @@ class LoopJury {
   bool Judge(const std::string& why, std::vector<Pose> first);
   const PoseGraph<Pose>& graph_;
   InformationScale scale_;
+  InformationScale without_caution_;  // for judging, where scale_ is one
   BatchOptions options_;
   std::vector<FactorId> left_out_;
   std::optional<PoseGraph<Pose>> remaining_;  // if it is not the graph

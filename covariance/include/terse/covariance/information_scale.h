@@ -131,7 +131,10 @@ struct InformationCalibration {
   InformationEstimate estimate;
   InformationVerdict verdict = InformationVerdict::kUndetermined;
   InformationScale scale;  // ones unless contradicted
-  std::string message;     // a sentence for people
+  // Where the information is consistent but too cautious: three times the standard deviations found, and the stated
+  // ones at most. For telling wrong loops from true ones, not for maps; ones otherwise.
+  InformationScale without_caution;
+  std::string message;  // a sentence for people
 };
 
 // Whether the residuals contradict the information so much that it is better scaled, beyond two standard errors: if
