@@ -58,10 +58,15 @@ std::array<const ScaleEstimate*, 4> All(const InformationEstimate& estimate) {
 }
 
 KindScale ScaleOf(const KindEstimate& kind) { return {kind.translation.sigma_factor, kind.rotation.sigma_factor}; }
-// A few measurements are off by more than most are: a robot's wheels slip, a scan matches one door too far.
-KindScale WithReserve(const KindEstimate& kind) {
-  const KindScale scale = ScaleOf(kind);
-  return {std::min(1.0, kReserve * scale.translation), std::min(1.0, kReserve * scale.rotation)};
+// A few measurements are off by more than most are: a robot's wheels slip, a scan matches one door too far. From loops
+// no more is taken than from odometry, or wrong ones could bend that at less cost.
+InformationScale WithoutCaution(const InformationEstimate& found) {
+  const auto both = [](const ScaleEstimate& odometry, const ScaleEstimate& loops) {
+    return std::min(1.0, kReserve * std::max(odometry.sigma_factor, loops.sigma_factor));
+  };
+  const KindScale scale = {both(found.odometry.translation, found.loops.translation),
+                           both(found.odometry.rotation, found.loops.rotation)};
+  return {scale, scale};
 }
 
 std::string Sigmas(double translation_m, double rotation_rad) {
@@ -146,7 +151,7 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
     out.message = OthersAreWrong(found.agreeing_loops);
   } else if (!is_too_certain && !is_too_cautious) {
     out.verdict = InformationVerdict::kConsistent;
-    out.without_caution = {WithReserve(found.odometry), WithReserve(found.loops)};
+    out.without_caution = WithoutCaution(found);
     out.message = "the information is left as it is: residuals are " + Times(found) + " as large as it says";
   } else {
     out.verdict = InformationVerdict::kContradicted;
