@@ -25,6 +25,8 @@ constexpr double kManyMore = 1.05;
 // With so few loops, one through a kernel so many times as wide is looked at too.
 constexpr std::size_t kFewLoops = 500;
 constexpr double kWider = 2;
+// Of the loops that are left, so many more may be given up for telling them apart with less caution.
+constexpr double kStricter = 0.005;
 // Which loops contradict a trajectory does not take the last digits of it.
 constexpr double kTolerance = 1e-6;
 constexpr int kMostIterations = 50;
@@ -207,16 +209,24 @@ bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
 }
 
 template <class Pose>
-bool LoopJury<Pose>::Judge(const std::string& why, std::vector<Pose> first) {
+bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& first) {
   if (on_judging) on_judging(why);
-  const InformationScale& judged = scale_.IsOne() ? without_caution_ : scale_;
-  std::vector<FactorId> found;
-  if (judged.IsOne()) {
-    found = ContradictedLoops(graph_, std::move(first), options_);
-  } else {  // a scaled graph numbers its factors by their place
-    found = ContradictedLoops(ScaleInformation(graph_, judged), std::move(first), options_);
-    for (FactorId& id : found) id = graph_.Factors()[static_cast<std::size_t>(id.value)].id;
-    std::sort(found.begin(), found.end());
+  const auto judge = [&](const InformationScale& scale) {
+    if (scale.IsOne()) return ContradictedLoops(graph_, first, options_);
+    // A scaled graph numbers its factors by their place.
+    std::vector<FactorId> ids = ContradictedLoops(ScaleInformation(graph_, scale), first, options_);
+    for (FactorId& id : ids) id = graph_.Factors()[static_cast<std::size_t>(id.value)].id;
+    std::sort(ids.begin(), ids.end());
+    return ids;
+  };
+  std::vector<FactorId> found = judge(scale_);
+  if (scale_.IsOne() && !without_caution_.IsOne()) {
+    std::vector<FactorId> stricter = judge(without_caution_);
+    const std::size_t loops = LoopFactors(graph_).size() - found.size();
+    if (static_cast<double>(stricter.size()) <=
+        static_cast<double>(found.size()) + kStricter * static_cast<double>(loops)) {
+      found = std::move(stricter);
+    }
   }
   if (found == left_out_) return false;
   left_out_ = std::move(found);

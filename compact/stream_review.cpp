@@ -298,11 +298,9 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
   BatchOptions judged;
   judged.robust = ForScale(settings, out.scale).solver.robust;
   const bool may_judge = !look.is_early && judged.robust.kernel == RobustKernel::kGnc;
-  const InformationScale& without_caution = out.information.without_caution;
-  const PoseGraph<Pose> judged_graph = out.scale.IsOne() ? ScaleInformation(measured.graph, without_caution) : scaled;
   const auto judge = [&] {  // true: others are left out
     std::vector<char> is_wrong(out.events.size());
-    for (const FactorId id : ContradictedLoops(judged_graph, ValuesFor(measured, look.trajectory), judged)) {
+    for (const FactorId id : ContradictedLoops(scaled, ValuesFor(measured, look.trajectory), judged)) {
       const auto k = static_cast<std::size_t>(id.value);
       is_wrong[measured.event_of[k]] = measured.opens[k] == 0;
     }

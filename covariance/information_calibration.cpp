@@ -14,8 +14,8 @@ namespace {
 
 // Between stated and found standard deviations.
 constexpr double kLarger = 2, kSmaller = 3, kSmallerConstant = 20;
-// Times the standard deviations found, where caution is taken away for judging loops.
-constexpr double kReserve = 3;
+// Found over stated: no margin any more. And what stays of it.
+constexpr double kFarTooCautious = 0.1, kReserve = 3;
 constexpr double kDegrees = 180 / 3.14159265358979323846;
 
 struct Band {
@@ -61,11 +61,10 @@ KindScale ScaleOf(const KindEstimate& kind) { return {kind.translation.sigma_fac
 // A few measurements are off by more than most are: a robot's wheels slip, a scan matches one door too far. From loops
 // no more is taken than from odometry, or wrong ones could bend that at less cost.
 InformationScale WithoutCaution(const InformationEstimate& found) {
-  const auto both = [](const ScaleEstimate& odometry, const ScaleEstimate& loops) {
-    return std::min(1.0, kReserve * std::max(odometry.sigma_factor, loops.sigma_factor));
-  };
-  const KindScale scale = {both(found.odometry.translation, found.loops.translation),
-                           both(found.odometry.rotation, found.loops.rotation)};
+  const double translation = std::max(found.odometry.translation.sigma_factor, found.loops.translation.sigma_factor);
+  const double rotation = std::max(found.odometry.rotation.sigma_factor, found.loops.rotation.sigma_factor);
+  if (std::min(translation, rotation) > kFarTooCautious) return {};
+  const KindScale scale = {std::min(1.0, kReserve * translation), std::min(1.0, kReserve * rotation)};
   return {scale, scale};
 }
 

@@ -367,7 +367,7 @@ TEST(InformationScale, CautionIsTakenAwayForJudging) {
     const KindScale& odometry = found.without_caution.odometry;
     EXPECT_NEAR(std::log(odometry.translation * 12 / 3), 0, std::log(1.3)) << seed;
     EXPECT_NEAR(std::log(odometry.rotation * 12 / 3), 0, std::log(1.3)) << seed;
-    for (const double times : {1.0, 2.0}) {
+    for (const double times : {1.0, 5.0}) {  // a margin is a margin
       EXPECT_TRUE(CalibrateInformation(TooCautious(seed, times)).without_caution.IsOne()) << seed << ' ' << times;
     }
   }

@@ -56,9 +56,9 @@ template <class Pose>
 class LoopJury {
  public:
   // `graph` is to outlive it, its information is stated. `information`: what CalibrateInformation finds of it, or
-  // nothing. Its scale is found again of what remains when loops are left out: wrong ones spoil it. Information that is
-  // too cautious is judged as residuals say, whether or not the map is made with it as it is. `robust`: of the map's
-  // solver; without kGnc there is nothing to judge. `options`: of the solves.
+  // nothing. Its scale is found again of what remains when loops are left out: wrong ones spoil it. Where information
+  // is far too cautious loops are judged with less of that too, which counts unless it leaves out one in 200 more.
+  // `robust`: of the map's solver; without kGnc there is nothing to judge. `options`: of the solves.
   LoopJury(const PoseGraph<Pose>& graph, const InformationCalibration& information, const RobustOptions& robust,
            BatchOptions options = {});
   // Told why, before loops are judged.
@@ -75,7 +75,7 @@ class LoopJury {
   const InformationScale& Scale() const { return scale_; }  // of what remains
 
  private:
-  bool Judge(const std::string& why, std::vector<Pose> first);
+  bool Judge(const std::string& why, const std::vector<Pose>& first);
   const PoseGraph<Pose>& graph_;
   InformationScale scale_;
   InformationScale without_caution_;  // for judging, where scale_ is one

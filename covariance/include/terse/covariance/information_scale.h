@@ -131,8 +131,9 @@ struct InformationCalibration {
   InformationEstimate estimate;
   InformationVerdict verdict = InformationVerdict::kUndetermined;
   InformationScale scale;  // ones unless contradicted
-  // Where the information is consistent but too cautious: three times the standard deviations found, and the stated
-  // ones at most. For telling wrong loops from true ones, not for maps; ones otherwise.
+  // Where the information is consistent, but standard deviations of translation or of rotation are more than ten times
+  // what residuals say, of odometry as of loops: three times those, and the stated ones at most, for odometry and loops
+  // alike. For telling wrong loops from true ones, not for maps; ones otherwise.
   InformationScale without_caution;
   std::string message;  // a sentence for people
 };
