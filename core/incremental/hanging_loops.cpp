@@ -86,6 +86,7 @@ std::vector<std::vector<size_t>> GroupsOf(const std::vector<LoopIn<Pose>>& loops
   std::map<size_t, std::vector<size_t>> by_root;
   for (size_t k = 0; k < loops.size(); ++k) by_root[sets.Root(k)].push_back(k);
   std::vector<std::vector<size_t>> groups;
+  groups.reserve(by_root.size());
   for (auto& entry : by_root) groups.push_back(std::move(entry.second));
   return groups;
 }
@@ -116,6 +117,7 @@ WithoutGroup<Pose> LookWithout(const std::vector<size_t>& group, const std::vect
     columns.push_back(SolveForward(solved.cholesky.Tree(), linear));
   }
   std::vector<const PathColumns<B>*> each;
+  each.reserve(columns.size());
   for (const auto& z : columns) each.push_back(&z);
   const Eigen::MatrixXd known = JointGram<B>(each);
   const Eigen::LLT<Eigen::MatrixXd> by_others(Eigen::MatrixXd::Identity(rows, rows) - known);
