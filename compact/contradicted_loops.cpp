@@ -211,17 +211,20 @@ bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
 template <class Pose>
 bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& first) {
   if (on_judging) on_judging(why);
-  const auto judge = [&](const InformationScale& scale) {
-    if (scale.IsOne()) return ContradictedLoops(graph_, first, options_);
+  const auto judge = [&](const InformationScale& scale, const PoseGraph<Pose>& scaled) {
+    std::vector<FactorId> ids = ContradictedLoops(scaled, first, options_);
+    if (scale.IsOne()) return ids;
     // A scaled graph numbers its factors by their place.
-    std::vector<FactorId> ids = ContradictedLoops(ScaleInformation(graph_, scale), first, options_);
     for (FactorId& id : ids) id = graph_.Factors()[static_cast<std::size_t>(id.value)].id;
     std::sort(ids.begin(), ids.end());
     return ids;
   };
-  std::vector<FactorId> found = judge(scale_);
+  const bool is_whole = left_out_.empty();  // what remains
+  std::vector<FactorId> found = is_whole         ? judge(scale_, Remaining())
+                                : scale_.IsOne() ? judge(scale_, graph_)
+                                                 : judge(scale_, ScaleInformation(graph_, scale_));
   if (scale_.IsOne() && !without_caution_.IsOne()) {
-    std::vector<FactorId> stricter = judge(without_caution_);
+    std::vector<FactorId> stricter = judge(without_caution_, ScaleInformation(graph_, without_caution_));
     const std::size_t loops = LoopFactors(graph_).size() - found.size();
     if (static_cast<double>(stricter.size()) <=
         static_cast<double>(found.size()) + kStricter * static_cast<double>(loops)) {

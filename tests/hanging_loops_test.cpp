@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "loop_weights.h"
+#include "terse/core/incremental_solver.h"
+#include "terse/core/replay.h"
 #include "terse/core/robust.h"
 #include "testing_poses.h"
 
@@ -129,6 +131,27 @@ TYPED_TEST(HangingLoops, OnlyTheWrongOneGoes) {
               std::count(bent.weights.begin(), bent.weights.end(), 0.0) + 1)
         << seed;
   }
+}
+
+// By defaults: batch gnc, and Finish of a run that believed it.
+TYPED_TEST(HangingLoops, SolversLetItGo) {
+  TwoPlaces<TypeParam> world(1);
+  const FactorId wrong = world.Join(5, 5, 1.5);
+  BatchOptions batch;
+  batch.robust.kernel = RobustKernel::kGnc;
+  EXPECT_EQ(world.WeightOf(wrong, SolveBatch(world.Graph(), batch)), 0);
+  IncrementalOptions options;
+  options.robust.kernel = RobustKernel::kGnc;
+  IncrementalSolver<TypeParam> solver(options);
+  Replay<TypeParam>(world.Graph(), ReplayOptions(), solver, [](const ReplayStep&) { return true; });
+  FactorId in_run;
+  for (const auto& node : solver.Graph().Factors()) {
+    const FactorPoses ends = PosesOf(node.factor);
+    if (ends.first == PoseId{5} && ends.second == PoseId{kSecond + 5}) in_run = node.id;
+  }
+  if (TypeParam::kDof == 6) ASSERT_EQ(solver.WeightOf(in_run), 1);  // the planar run did not believe it
+  solver.Finish();
+  EXPECT_EQ(solver.WeightOf(in_run), 0);
 }
 
 }  // namespace
