@@ -149,7 +149,10 @@ TYPED_TEST(HangingLoops, SolversLetItGo) {
     const FactorPoses ends = PosesOf(node.factor);
     if (ends.first == PoseId{5} && ends.second == PoseId{kSecond + 5}) in_run = node.id;
   }
-  if (TypeParam::kDof == 6) ASSERT_EQ(solver.WeightOf(in_run), 1);  // the planar run did not believe it
+  // The planar run did not believe it.
+  if (TypeParam::kDof == 6) {
+    ASSERT_EQ(solver.WeightOf(in_run), 1);
+  }
   solver.Finish();
   EXPECT_EQ(solver.WeightOf(in_run), 0);
 }
