@@ -166,8 +166,8 @@ void Serialize(Archive& archive, InformationEstimate& estimate) {
 }
 template <class Archive>
 void Serialize(Archive& archive, InformationCalibration& calibration) {
-  auto& [stated, estimate, verdict, scale, message] = calibration;
-  archive(stated, estimate, verdict, scale, message);
+  auto& [stated, estimate, verdict, scale, without_caution, message] = calibration;
+  archive(stated, estimate, verdict, scale, without_caution, message);
 }
 
 template <class Archive, class Pose>
