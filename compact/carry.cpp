@@ -1,12 +1,12 @@
 #include "carry.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <stdexcept>
 #include <variant>
 
 #include "chains.h"
 #include "terse/core/residual.h"
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {
@@ -51,7 +51,7 @@ PositionPriorFactor<Pose> CarryPosition(const PositionPriorFactor<Pose>& prior, 
     const Block R = T_world_base.Adjoint().template topLeftCorner<D, D>();
     added = R * chain * R.transpose();
   } else {
-    const double largest = Eigen::SelfAdjointEigenSolver<Block>(chain, Eigen::EigenvaluesOnly).eigenvalues()[D - 1];
+    const double largest = SymmetricEigenvalues<D>(chain)[D - 1];
     added = largest * Block::Identity();
   }
   const Block measured = Block(prior.information).llt().solve(Block::Identity());

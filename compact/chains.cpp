@@ -1,7 +1,8 @@
 #include "chains.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
+
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 
@@ -29,9 +30,7 @@ std::optional<UncertainPose<Pose>> Behind(const UncertainPose<Pose>& T_start_mid
   if (whole.info() != Eigen::Success) return std::nullopt;
   const Jacobian left = whole.matrixL().solve(out.covariance);
   const Jacobian share = whole.matrixL().solve(left.transpose());
-  const Eigen::MatrixXd symmetric = (share + share.transpose()) / 2;
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> shares(symmetric, Eigen::EigenvaluesOnly);
-  if (!(shares.eigenvalues()[0] > 1e-9)) return std::nullopt;
+  if (!(SymmetricEigenvalues<Pose::kDof>((share + share.transpose()) / 2)[0] > 1e-9)) return std::nullopt;
   return out;
 }
 

@@ -7,12 +7,12 @@
 #include <type_traits>
 #include <unordered_map>
 
+#include "terse/core/pose_name.h"
+
 namespace terse {
 namespace {
 
 using std::size_t;
-
-std::string Text(PoseId id) { return "pose " + std::to_string(id.value); }
 
 template <class Pose>
 bool IsCovariance(const UncertainPose<Pose>& pose) {
@@ -83,7 +83,7 @@ class Inspection {
     std::set<PoseId> seen;
     Each("fixed", map_.fixed, [&](const auto& fixed) {
       ExpectKept(fixed.pose, "pose");
-      if (!seen.insert(fixed.pose).second) Fail("pose", Text(fixed.pose) + " is there twice");
+      if (!seen.insert(fixed.pose).second) Fail("pose", Name(fixed.pose) + " is there twice");
       if (!IsFinite(fixed.T_world_body)) Fail("T_world_body", "not finite");
     });
   }
@@ -113,11 +113,11 @@ class Inspection {
     const bool may_be_forgotten = map_.forgotten > 0 && pose.anchored_to;
     if (!is_first && !pose.previous && !may_be_forgotten) Fail("previous", "missing, expected an id");
     if (!is_first && map_.forgotten > 0 && !(newest_ < pose.id))
-      Fail("id", Text(pose.id) + " comes after " + Text(newest_) + ", but where poses are forgotten ids ascend");
+      Fail("id", Name(pose.id) + " comes after " + Name(newest_) + ", but where poses are forgotten ids ascend");
     newest_ = pose.id;
   }
   void CheckPose(const SeenPose& pose) {
-    if (at_.count(pose.id.value) != 0) Fail("id", Text(pose.id) + " is there twice");
+    if (at_.count(pose.id.value) != 0) Fail("id", Name(pose.id) + " is there twice");
     if (!IsFinite(pose.T_world_body)) Fail("T_world_body", "not finite");
     if (!IsFinite(pose.T_world_body_when_seen)) Fail("T_world_body_when_seen", "not finite");
     const bool is_first = at_.empty();
@@ -125,16 +125,16 @@ class Inspection {
     CheckPrevious(pose, is_first);
     const SeenPose* previous = pose.previous ? Earlier(*pose.previous) : nullptr;
     if (pose.previous && previous == nullptr) {
-      Fail("previous", Text(*pose.previous) + " is none of the poses before");
+      Fail("previous", Name(*pose.previous) + " is none of the poses before");
       return;
     }
     const SeenPose* parent = pose.anchored_to ? Earlier(*pose.anchored_to) : previous;
     if (pose.anchored_to && parent == nullptr) {
-      Fail("anchored_to", Text(*pose.anchored_to) + " is none of the poses before");
+      Fail("anchored_to", Name(*pose.anchored_to) + " is none of the poses before");
       return;
     }
     const PoseId base = pose.kept || parent == nullptr ? pose.id : parent->base;
-    if (pose.base != base) Fail("base", Text(pose.base) + ", expected " + Text(base));
+    if (pose.base != base) Fail("base", Name(pose.base) + ", expected " + Name(base));
     if (!pose.kept) CheckChain(pose.T_base_pose, "T_base_pose", "covariance");
   }
   void CheckNext(const SeenPose& pose) {
@@ -147,25 +147,25 @@ class Inspection {
     if (!pose.ended_by) return;
     const SeenPose* end = Earlier(*pose.ended_by);
     if (end != nullptr && at_.at(end->id.value) <= at_.at(pose.id.value)) {
-      Fail("ended_by", Text(*pose.ended_by) + " does not come after the pose");
+      Fail("ended_by", Name(*pose.ended_by) + " does not come after the pose");
     } else if (end == nullptr || !end->anchored_to || !end->previous) {
-      Fail("ended_by", Text(*pose.ended_by) + (end == nullptr ? " is none of the poses" : " was not anchored"));
+      Fail("ended_by", Name(*pose.ended_by) + (end == nullptr ? " is none of the poses" : " was not anchored"));
     }
   }
   void ExpectKept(PoseId id, const char* key) {
     const SeenPose* pose = Earlier(id);
     if (pose == nullptr || !pose->kept) {
-      Fail(key, Text(id) + (pose == nullptr ? " is none of the poses" : " was dropped, expected a kept one"));
+      Fail(key, Name(id) + (pose == nullptr ? " is none of the poses" : " was dropped, expected a kept one"));
     }
   }
   void ExpectSeen(PoseId id, const char* key) {
-    if (at_.count(id.value) == 0) Fail(key, Text(id) + " is none of the poses");
+    if (at_.count(id.value) == 0) Fail(key, Name(id) + " is none of the poses");
   }
   // Forgotten or not.
   void ExpectCame(PoseId id, const char* key) {
     const auto& poses = map_.poses;
     const bool is_forgotten = map_.forgotten > 0 && !poses.empty() && poses.front().id < id && id < poses.back().id;
-    if (at_.count(id.value) == 0 && !is_forgotten) Fail(key, Text(id) + " is none of the poses");
+    if (at_.count(id.value) == 0 && !is_forgotten) Fail(key, Name(id) + " is none of the poses");
   }
   void CheckParts(const std::vector<typename CompactMap<Pose>::Part>& parts, const std::string& edge) {
     for (size_t k = 0; k < parts.size() && defect_.empty(); ++k) {

@@ -1,11 +1,12 @@
 #include "terse/compact/distance.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
+
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse {
 namespace {
@@ -44,11 +45,7 @@ Vector<3> NormalizedOrZero(const Vector<3>& v) {
   return norm > 0 ? Vector<3>(v / norm) : Vector<3>(Vector<3>::Zero());
 }
 
-double LargestEigenvalue(const Matrix<3, 3>& symmetric) {
-  const Eigen::Matrix3d aligned = symmetric;
-  return std::max(0.0,
-                  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(aligned, Eigen::EigenvaluesOnly).eigenvalues()[2]);
-}
+double LargestEigenvalue(const Matrix<3, 3>& symmetric) { return std::max(0.0, SymmetricEigenvalues<3>(symmetric)[2]); }
 
 // An angle's gradient in phi (right perturbation), and how much of the variance is that of a length (header).
 struct AngleModel {

@@ -6,13 +6,12 @@
 
 #include "stream_review.h"
 #include "terse/compact/state_members.h"
+#include "terse/core/pose_name.h"
 
 namespace terse {
 namespace {
 
 constexpr const char* kKind = "stream of measurements";
-
-std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
 }  // namespace
 

@@ -6,6 +6,7 @@
 #include "chains.h"
 #include "terse/compact/state_members.h"
 #include "terse/core/at.h"
+#include "terse/core/pose_name.h"
 
 namespace terse::internal {
 namespace {
@@ -18,7 +19,7 @@ template <class Pose>
 int PoseHistory<Pose>::IndexOf(PoseId id) const {
   const auto it = index_.find(id.value);
   if (it == index_.end()) {
-    throw std::invalid_argument("pose " + std::to_string(id.value) +
+    throw std::invalid_argument(Name(id) +
                                 (IsForgotten(id) ? " is forgotten: it was dropped long ago" : " was never added"));
   }
   return it->second;

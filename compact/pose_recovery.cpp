@@ -1,11 +1,11 @@
 #include "pose_recovery.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <stdexcept>
 
 #include "terse/core/at.h"
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {
@@ -29,8 +29,8 @@ template <class Jacobian>
 Jacobian Gathered(const Jacobian& P, const Jacobian& P_older) {
   Jacobian difference = (P - P_older + (P - P_older).transpose()) / 2;
   if (difference.llt().info() == Eigen::Success) return difference;
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(difference);
-  return eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0).asDiagonal() * eigen.eigenvectors().transpose();
+  const auto eigen = DecomposeSymmetric<Jacobian::RowsAtCompileTime>(difference);
+  return eigen.vectors * eigen.values.cwiseMax(0).asDiagonal() * eigen.vectors.transpose();
 }
 
 }  // namespace

@@ -1,7 +1,6 @@
 #include "terse/compact/pose_removal.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
@@ -11,6 +10,7 @@
 #include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
+#include "terse/core/symmetric_eigen.h"
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"
 
@@ -175,8 +175,7 @@ std::optional<Tree<Pose>> RecoverTree(const std::vector<Arm<Pose>>& arms, std::o
     const auto lower = L.triangularView<Eigen::Lower>();
     const MatrixXd left = lower.solve(Sigma);
     const MatrixXd share = lower.solve(left.transpose());
-    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen((share + share.transpose()) / 2, Eigen::EigenvaluesOnly);
-    out.scale = std::max(1.0, eigen.eigenvalues()[B * n - 1]);
+    out.scale = std::max(1.0, SymmetricEigenvalues<Eigen::Dynamic>((share + share.transpose()) / 2)[B * n - 1]);
     const double log_exact = exact.matrixLLT().diagonal().array().log().sum();
     out.loss = L.diagonal().array().log().sum() + B * n * std::log(out.scale) / 2 - log_exact;
     out.loss = std::max(out.loss, 0.0);

@@ -9,6 +9,7 @@
 #include "revival.h"
 #include "terse/core/error.h"
 #include "terse/core/log_message.h"
+#include "terse/core/pose_name.h"
 
 namespace terse::internal {
 namespace {
@@ -17,7 +18,7 @@ using std::size_t;
 
 template <class Pose>
 void CheckPose(const CompactInput<Pose>& input, const PoseHistory<Pose>& history) {
-  const std::string name = "pose " + std::to_string(input.id.value);
+  const std::string name = Name(input.id);
   if (history.Has(input.id)) throw std::invalid_argument(name + " was added already");
   if (history.IsForgotten(input.id)) {
     throw std::invalid_argument(name + " comes after pose " + std::to_string(history.Newest().value) +
@@ -218,7 +219,7 @@ void LogVerdict(const Decision& decision, const CompactParts<Pose>& parts) {
   const bool by_gain = decision.verdict == PoseVerdict::kInformative || decision.verdict == PoseVerdict::kRedundant;
   const LogLevel level =
       decision.Kept() && decision.verdict != PoseVerdict::kAllKept ? LogLevel::kInfo : LogLevel::kDebug;
-  const std::string name = "pose " + std::to_string(decision.id.value) + (decision.Kept() ? " kept, " : " dropped, ");
+  const std::string name = Name(decision.id) + (decision.Kept() ? " kept, " : " dropped, ");
   if (by_gain && decision.pose_gain) {
     Log(parts.options.log, level, name, Name(decision.verdict), ": gain ", *decision.pose_gain, " nats (threshold ",
         parts.gains.MinPoseGain(), "), ", decision.candidates.size(), " candidates");

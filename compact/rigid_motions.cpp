@@ -1,7 +1,8 @@
 #include "terse/compact/rigid_motions.h"
 
-#include <Eigen/Eigenvalues>
 #include <cmath>
+
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {
@@ -31,11 +32,11 @@ RigidMotions<Pose>::RigidMotions(const std::vector<Pose>& T_world_body) {
     gram += turns_.back().transpose() * turns_.back();
   }
   // Positions on a line cannot be turned about it.
-  const Eigen::SelfAdjointEigenSolver<Gram> eigen(gram);
-  const double most = eigen.eigenvalues()[kTurns - 1];
-  Gram whiten = eigen.eigenvectors();
+  const SymmetricEigen<kTurns> eigen = DecomposeSymmetric(gram);
+  const double most = eigen.values[kTurns - 1];
+  Gram whiten = eigen.vectors;
   for (int axis = 0; axis < kTurns; ++axis) {
-    const double squared = eigen.eigenvalues()[axis];
+    const double squared = eigen.values[axis];
     whiten.col(axis) *= squared > 1e-9 * most && squared > 0 ? 1 / std::sqrt(squared) : 0;
   }
   for (auto& turn : turns_) turn = (turn * whiten).eval();

@@ -3,6 +3,7 @@
 #include <stdexcept>
 
 #include "terse/core/batch_solver.h"
+#include "terse/core/pose_name.h"
 
 namespace terse {
 
@@ -54,7 +55,7 @@ Marginals<Pose>::Marginals(const PoseGraph<Pose>& graph, std::vector<Pose> T_wor
 template <class Pose>
 int Marginals<Pose>::IndexOf(PoseId id) const {
   const auto it = index_.find(id.value);
-  if (it == index_.end()) throw std::invalid_argument("pose " + std::to_string(id.value) + " is not in the graph");
+  if (it == index_.end()) throw std::invalid_argument(Name(id) + " is not in the graph");
   return it->second;
 }
 

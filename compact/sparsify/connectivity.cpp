@@ -1,6 +1,5 @@
 #include "terse/compact/connectivity.h"
 
-#include <Eigen/Eigenvalues>
 #include <Eigen/OrderingMethods>
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
@@ -16,6 +15,7 @@
 #include "terse/core/disjoint_sets.h"
 #include "terse/core/error.h"
 #include "terse/core/random.h"
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {
@@ -166,7 +166,7 @@ class Subspace {
     return size_ - before;
   }
   // Ritz vectors in ascending order, as combinations of V.
-  void Solve() { ritz_ = Eigen::SelfAdjointEigenSolver<MatrixXd>(gram_.topLeftCorner(size_, size_)).eigenvectors(); }
+  void Solve() { ritz_ = DecomposeSymmetric<Eigen::Dynamic>(gram_.topLeftCorner(size_, size_)).vectors; }
   // Those first ones become V.
   void Shrink(Index count) {
     const MatrixXd Y = ritz_.leftCols(count);

@@ -1,7 +1,6 @@
 #include "factor_recovery.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
@@ -9,6 +8,7 @@
 
 #include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
+#include "terse/core/symmetric_eigen.h"
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"
 
@@ -55,7 +55,6 @@ class Recovery {
 
  private:
   using Block = Eigen::Matrix<double, B, B>;
-  using BlockEigen = Eigen::SelfAdjointEigenSolver<Block>;
 
   static int Slot(int node) { return B * (node - 1); }
   static void AddInformation(const Pair<Pose>& e, const Jacobian& Omega, MatrixXd& H);
@@ -68,7 +67,7 @@ class Recovery {
   bool MakeTarget();
   bool MakePairs();
   bool StartFromTree();
-  BlockEigen OthersShare(const Pair<Pose>& e, const Jacobian& information, int options) const;
+  Block OthersShare(const Pair<Pose>& e, const Jacobian& information) const;
   double Gain(const Pair<Pose>& e) const;
   void Improve(Pair<Pose>& e);
   void AddBestPairs(int most);
@@ -199,10 +198,9 @@ bool Recovery<Pose>::StartFromTree() {
 
 // What the other factors say of d_ij as a share of what the target does: L' (C_r^-1 - Omega) L with C_t = L L'.
 template <class Pose>
-typename Recovery<Pose>::BlockEigen Recovery<Pose>::OthersShare(const Pair<Pose>& e, const Jacobian& information,
-                                                                int options) const {
+typename Recovery<Pose>::Block Recovery<Pose>::OthersShare(const Pair<Pose>& e, const Jacobian& information) const {
   const Block share = e.root.transpose() * (information - e.information) * e.root;
-  return BlockEigen((share + share.transpose()) / 2, options);
+  return (share + share.transpose()) / 2;
 }
 
 // By how much a new factor here lowers the divergence, nats.
@@ -210,8 +208,8 @@ template <class Pose>
 double Recovery<Pose>::Gain(const Pair<Pose>& e) const {
   const Jacobian now = CovarianceOf(sigma_, e).llt().solve(Jacobian::Identity());
   double gain = 0;
-  const auto others = OthersShare(e, now, Eigen::EigenvaluesOnly);
-  for (const double share : others.eigenvalues()) {
+  const Tangent shares = SymmetricEigenvalues<Pose::kDof>(OthersShare(e, now));
+  for (const double share : shares) {
     if (share < 1) gain += (share - 1 - std::log(share)) / 2;
   }
   return gain;
@@ -223,10 +221,10 @@ template <class Pose>
 void Recovery<Pose>::Improve(Pair<Pose>& e) {
   const MatrixXd W = Rows(sigma_, e);
   const Jacobian C = Columns(W, e), now = C.llt().solve(Jacobian::Identity());
-  const auto others = OthersShare(e, now, Eigen::ComputeEigenvectors);
-  const Tangent lacking = Tangent::Ones() - others.eigenvalues();
+  const auto others = DecomposeSymmetric<Pose::kDof>(OthersShare(e, now));
+  const Tangent lacking = Tangent::Ones() - others.values;
   const Tangent own = lacking.cwiseMax(kFloor);
-  const Jacobian half = e.root.transpose().template triangularView<Eigen::Upper>().solve(others.eigenvectors());
+  const Jacobian half = e.root.transpose().template triangularView<Eigen::Upper>().solve(others.vectors);
   const Jacobian information = half * own.asDiagonal() * half.transpose();
   const Jacobian change = information - e.information;
   AddInformation(e, change, lambda_);
@@ -316,8 +314,7 @@ template <class Pose>
 std::optional<Tree<Pose>> Recovery<Pose>::Result(bool conservative) {
   Tree<Pose> out;
   if (conservative) {
-    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(InTargetCoordinates(), Eigen::EigenvaluesOnly);
-    out.scale = std::max(1.0, eigen.eigenvalues()[n_ - 1]);
+    out.scale = std::max(1.0, SymmetricEigenvalues<Eigen::Dynamic>(InTargetCoordinates())[n_ - 1]);
     lambda_ /= out.scale;
   }
   if (!Invert()) return std::nullopt;

@@ -10,6 +10,7 @@
 
 #include "factor_recovery.h"
 #include "terse/core/at.h"
+#include "terse/core/pose_name.h"
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"
 
@@ -74,7 +75,7 @@ Eliminator<Pose>::Eliminator(const PoseGraph<Pose>& graph, const EliminationOpti
   is_gone_.assign(poses, 0);
   for (std::size_t k = 0; k < poses; ++k) {
     const auto& node = graph.Poses()[k];
-    if (!node.T_world_body) throw std::invalid_argument("pose " + std::to_string(node.id.value) + " has no value");
+    if (!node.T_world_body) throw std::invalid_argument(Name(node.id) + " has no value");
     stays_[k] = node.fixed;
   }
   for (const auto& node : graph.Factors()) {

@@ -6,6 +6,7 @@
 #include "batch/chordal.h"
 #include "graph/adjacency.h"
 #include "terse/core/arrival.h"
+#include "terse/core/pose_name.h"
 #include "terse/core/position_start.h"
 #include "terse/core/start_values.h"
 #include "terse/core/words.h"
@@ -18,7 +19,7 @@ std::vector<Pose> FileValues(const PoseGraph<Pose>& graph) {
   std::vector<Pose> values;
   values.reserve(graph.Poses().size());
   for (const auto& node : graph.Poses()) {
-    if (!node.T_world_body) throw std::invalid_argument("pose " + std::to_string(node.id.value) + " has no value");
+    if (!node.T_world_body) throw std::invalid_argument(Name(node.id) + " has no value");
     values.push_back(*node.T_world_body);
   }
   return values;

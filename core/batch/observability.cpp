@@ -1,6 +1,5 @@
 #include "terse/core/observability.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -10,6 +9,8 @@
 
 #include "terse/core/at.h"
 #include "terse/core/block_cholesky.h"
+#include "terse/core/pose_name.h"
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse {
 namespace {
@@ -173,11 +174,11 @@ class Search {
       const Eigen::Matrix<double, B, B> J = f->A_first * moves(f->first);
       information += J.transpose() * J;
     }
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, B, B>> eigen(information);
+    const SymmetricEigen<B> eigen = DecomposeSymmetric<B>(information);
     Eigen::Index free = 0;
-    while (free < B && eigen.eigenvalues()[free] <= kRounding * eigen.eigenvalues()[B - 1]) ++free;
+    while (free < B && eigen.values[free] <= kRounding * eigen.values[B - 1]) ++free;
     if (free == 0) return;
-    const MatrixX xi = eigen.eigenvectors().leftCols(free);
+    const MatrixX xi = eigen.vectors.leftCols(free);
     // Best seen from the measured pose that it moves least.
     int best = -1;
     double least = 0;
@@ -203,14 +204,14 @@ class Search {
     for (int v = 0; v < Variables(); ++v) {
       const Vector<B> root = scale_[At(v)].cwiseSqrt();
       const Eigen::Matrix<double, B, B> unit = root.cwiseInverse().asDiagonal();
-      const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, B, B>> eigen(unit * H[At(v)] * unit);
+      const SymmetricEigen<B> eigen = DecomposeSymmetric<B>(unit * H[At(v)] * unit);
       Eigen::Index free = 0;
-      while (free < B && eigen.eigenvalues()[free] < kRounding) ++free;
+      while (free < B && eigen.values[free] < kRounding) ++free;
       if (free == 0) continue;
-      Report(Freedom::kUnmeasured, {v}, v, unit * eigen.eigenvectors().leftCols(free));
+      Report(Freedom::kUnmeasured, {v}, v, unit * eigen.vectors.leftCols(free));
       LinearFactor<B> anchor;
       anchor.first = v;
-      anchor.A_first.topRows(free) = eigen.eigenvectors().leftCols(free).transpose() * root.asDiagonal();
+      anchor.A_first.topRows(free) = eigen.vectors.leftCols(free).transpose() * root.asDiagonal();
       anchors_.push_back(anchor);
     }
   }
@@ -275,10 +276,10 @@ class Search {
       M.middleRows<B>(static_cast<Eigen::Index>(i) * B) =
           scale_[At(failing_[i])].cwiseSqrt().asDiagonal() * x.middleRows(Eigen::Index{B} * failing_[i], B);
     }
-    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen((M + M.transpose()) / 2);
+    const auto eigen = DecomposeSymmetric<Eigen::Dynamic>((M + M.transpose()) / 2);
     Eigen::Index count = 0;
-    while (count < M.cols() && eigen.eigenvalues()[M.cols() - 1 - count] > 1 - 1e-6) ++count;
-    const MatrixX u = Sparsified(eigen.eigenvectors().rightCols(count));
+    while (count < M.cols() && eigen.values[M.cols() - 1 - count] > 1 - 1e-6) ++count;
+    const MatrixX u = Sparsified(eigen.vectors.rightCols(count));
     for (Eigen::Index k = 0; k < count; ++k) {
       const Eigen::VectorXd v = x * u.col(k);
       if (InformationAbout(v) < kFree * u.col(k).squaredNorm()) AddInnerMotion(v);
@@ -397,7 +398,7 @@ std::string Describe(const FreeMotion& motion) {
   for (Eigen::Index k = 0; k < motion.directions.cols(); ++k) {
     directions += (k == 0 ? "" : ", ") + DescribeDirection(motion.directions.col(k));
   }
-  const std::string pose = "pose " + std::to_string(motion.pose.value);
+  const std::string pose = Name(motion.pose);
   const std::string count = std::to_string(motion.poses) + (motion.poses == 1 ? " pose" : " poses");
   switch (motion.freedom) {
     case Freedom::kFloating:

@@ -1,6 +1,5 @@
 #include "terse/core/position_start.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <optional>
 
@@ -8,6 +7,7 @@
 #include "terse/core/frame_alignment.h"
 #include "terse/core/gauge.h"
 #include "terse/core/residual.h"
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {
@@ -121,7 +121,7 @@ class Stretches {
     if (!(weight > 0)) return 0;
     const Point mean = (sums_[last].first - sums_[first].first) / weight;
     const Block spread = sums_[last].second - sums_[first].second - weight * mean * mean.transpose();
-    return Eigen::SelfAdjointEigenSolver<Block>(spread, Eigen::EigenvaluesOnly).eigenvalues()[Pose::kDim - 1];
+    return SymmetricEigenvalues<Pose::kDim>(spread)[Pose::kDim - 1];
   }
 
   std::vector<size_t> ranks_;

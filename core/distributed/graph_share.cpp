@@ -12,12 +12,11 @@
 #include "terse/core/line_stream.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/measurement_line.h"
+#include "terse/core/pose_name.h"
 #include "terse/core/vertex_line.h"
 
 namespace terse {
 namespace {
-
-std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
 template <class Pose>
 class ShareReader {

@@ -3,18 +3,17 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 
-#include "support/symmetric_eigen.h"
+#include "terse/core/pose_name.h"
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse {
 namespace {
-
-std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
 template <class Information>
 void ClampEigenvalues(Information* information) {
   if (!information->allFinite()) return;
   constexpr double kTiny = 1e-12;  // for a matrix without any information
-  const SymmetricEigen eigen = DecomposeSymmetric(*information);
+  const auto eigen = DecomposeSymmetric<Information::RowsAtCompileTime>(*information);
   const double floor = std::max(1e-9 * eigen.values.maxCoeff(), kTiny);
   const Information vectors = eigen.vectors, values = eigen.values.cwiseMax(floor).asDiagonal();
   const Information clamped = vectors * values * vectors.transpose();

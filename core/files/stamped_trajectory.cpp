@@ -4,13 +4,14 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "terse/core/pose_name.h"
+
 namespace terse {
 
 void RequireStampId(PoseId id) {
   constexpr std::int64_t kMost = std::int64_t{1} << 53;
   if (id.value >= -kMost && id.value <= kMost) return;  // -2^63 has no absolute value
-  throw std::invalid_argument("pose " + std::to_string(id.value) +
-                              ": ids beyond 2^53 do not fit into the stamps of a trajectory");
+  throw std::invalid_argument(Name(id) + ": ids beyond 2^53 do not fit into the stamps of a trajectory");
 }
 
 template <class Pose>

@@ -12,6 +12,7 @@
 #include "terse/core/atomic_file.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/number_text.h"
+#include "terse/core/pose_name.h"
 #include "terse/core/stamped_trajectory.h"
 #include "terse/core/text_lines.h"
 
@@ -103,9 +104,7 @@ Trajectory FromGraph(const std::string& path, const PoseGraph<Pose>& graph) {
   for (const auto& [id, T_world_body] : poses) {
     const double stamp = static_cast<double>(id.value);
     if (!out.stamps.empty() && stamp <= out.stamps.back()) {
-      throw FileError(
-          path, 0,
-          "pose " + std::to_string(id.value) + ": ids beyond 2^53 cannot be told apart, expected smaller ones");
+      throw FileError(path, 0, Name(id) + ": ids beyond 2^53 cannot be told apart, expected smaller ones");
     }
     out.stamps.push_back(stamp);
     out.T_world_body.push_back(T_world_body);

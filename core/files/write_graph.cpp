@@ -5,12 +5,11 @@
 #include "terse/core/error.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/number_text.h"
+#include "terse/core/pose_name.h"
 #include "terse/core/vertex_line.h"
 
 namespace terse {
 namespace {
-
-std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
 // One line of a file, fields separated by single blanks.
 class Line {

@@ -1,9 +1,10 @@
 #include "terse/core/gauge.h"
 
-#include <Eigen/Eigenvalues>
 #include <cmath>
 #include <locale>
 #include <sstream>
+
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse {
 namespace {
@@ -14,10 +15,10 @@ constexpr double kRounding = 1e-12;
 // The projection on the eigenvectors whose eigenvalue is below `least`, and their number.
 template <int N>
 int ProjectOnFree(const Matrix<N, N>& information, double least, Matrix<N, N>& projection) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, N, N>> eigen(information);
+  const SymmetricEigen<N> eigen = DecomposeSymmetric<N>(information);
   int free = 0;
-  while (free < N && eigen.eigenvalues()[free] < least) ++free;
-  const auto axes = eigen.eigenvectors().leftCols(free);
+  while (free < N && eigen.values[free] < least) ++free;
+  const auto axes = eigen.vectors.leftCols(free);
   projection = axes * axes.transpose();
   return free;
 }
@@ -25,13 +26,13 @@ int ProjectOnFree(const Matrix<N, N>& information, double least, Matrix<N, N>& p
 // Without the directions that are zero to rounding.
 template <int N>
 Matrix<N, N> PseudoInverse(const Matrix<N, N>& information) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, N, N>> eigen(information);
+  const SymmetricEigen<N> eigen = DecomposeSymmetric<N>(information);
   Vector<N> inverse = Vector<N>::Zero();
   for (int k = 0; k < N; ++k) {
-    const double value = eigen.eigenvalues()[k];
-    if (value > kRounding * eigen.eigenvalues()[N - 1]) inverse[k] = 1 / value;
+    const double value = eigen.values[k];
+    if (value > kRounding * eigen.values[N - 1]) inverse[k] = 1 / value;
   }
-  return eigen.eigenvectors() * inverse.asDiagonal() * eigen.eigenvectors().transpose();
+  return eigen.vectors * inverse.asDiagonal() * eigen.vectors.transpose();
 }
 
 template <class Pose>
@@ -63,9 +64,9 @@ std::string DescribeTurns(const Gauge<SE3>& gauge, const SE3& T_world_first) {
   if (gauge.free_turns == 3) return "heading, roll and pitch are";
   const Matrix<3, 3> R = T_world_first.Adjoint().topLeftCorner<3, 3>();
   const Matrix<3, 3> held = R * gauge.root.bottomRightCorner<3, 3>() * R.transpose();
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(held);  // ascending
-  if (gauge.free_turns == 2) return "the turns across the axis " + Text(eigen.eigenvectors().col(0)) + " are";
-  Vector<3> axis = eigen.eigenvectors().col(2);
+  const SymmetricEigen<3> eigen = DecomposeSymmetric<3>(held);
+  if (gauge.free_turns == 2) return "the turns across the axis " + Text(eigen.vectors.col(0)) + " are";
+  Vector<3> axis = eigen.vectors.col(2);
   if (axis[2] < 0) axis = -axis;
   const bool is_heading = axis[2] > 0.9;
   return (is_heading ? "heading, the turn about the axis " : "the turn about the axis ") + Text(axis) + ", is";

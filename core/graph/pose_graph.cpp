@@ -8,8 +8,9 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "support/symmetric_eigen.h"
+#include "terse/core/pose_name.h"
 #include "terse/core/residual.h"
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse {
 
@@ -17,8 +18,6 @@ bool IsFinite(const SE2& T) { return T.Translation().allFinite() && std::isfinit
 bool IsFinite(const SE3& T) { return T.Translation().allFinite() && T.Rotation().Unit().coeffs().allFinite(); }
 
 namespace {
-
-std::string Name(PoseId id) { return "pose " + std::to_string(id.value); }
 
 template <int N>
 bool IsFinite(const Vector<N>& p) {

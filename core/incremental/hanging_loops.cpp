@@ -15,6 +15,7 @@
 #include "terse/core/front_paths.h"
 #include "terse/core/log_message.h"
 #include "terse/core/open_loops.h"
+#include "terse/core/require_optimum.h"
 #include "terse/core/residual.h"
 #include "terse/core/robust.h"
 
@@ -164,11 +165,6 @@ Doubts FindDoubts(const PoseGraph<Pose>& graph, const BatchResult<Pose>& solved,
   }
   std::sort(out.loops.begin(), out.loops.end());
   return out;
-}
-
-template <class Pose>
-bool HasFactor(const BatchResult<Pose>& solved) {
-  return solved.termination != Termination::kNotPositiveDefinite && solved.cholesky.Variables() > 0;
 }
 
 }  // namespace

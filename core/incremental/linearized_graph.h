@@ -183,4 +183,11 @@ class LinearizedGraph {
   PhaseSeconds seconds_;
 };
 
+template <int B>
+double SquaredResiduals(const std::vector<std::pair<int, LinearFactor<B>>>& replaced) {
+  double sum = 0;
+  for (const auto& change : replaced) sum += change.second.residual.squaredNorm();
+  return sum;
+}
+
 }  // namespace terse::internal

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "terse/core/robust.h"
+#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 
@@ -27,8 +28,7 @@ double Contest<B>::Innovation(std::size_t i) const {
 
 template <int B>
 double Contest<B>::Leverage(std::size_t i) const {
-  const Eigen::SelfAdjointEigenSolver<Block> eigen(Spread(i), Eigen::EigenvaluesOnly);
-  return 1 / std::max(eigen.eigenvalues()[0], 1e-12);
+  return 1 / std::max(SymmetricEigenvalues<B>(Spread(i))[0], 1e-12);
 }
 
 template <int B>

@@ -9,6 +9,7 @@
 #include "terse/core/at.h"
 #include "terse/core/log_message.h"
 #include "terse/core/loop_contest.h"
+#include "terse/core/require_optimum.h"
 
 namespace terse::internal {
 namespace {
@@ -16,11 +17,6 @@ namespace {
 // That are heard at once, the most likely ones, and how often.
 constexpr std::size_t MostOpen(int B) { return B == 3 ? 100 : 50; }
 constexpr int kMostRounds = 3;
-
-template <class Pose>
-bool HasFactor(const BatchResult<Pose>& solved) {
-  return solved.termination != Termination::kNotPositiveDefinite && solved.cholesky.Variables() > 0;
-}
 
 // A loop that is out, at an optimum.
 template <class Pose>

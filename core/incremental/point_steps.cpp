@@ -18,13 +18,6 @@ constexpr double kRounding = 1e-12;
 // The guard gives a direction up when this share of it still raises chi2.
 constexpr double kLeastShare = 1e-3;
 
-template <int B>
-double SquaredResiduals(const std::vector<std::pair<int, LinearFactor<B>>>& replacements) {
-  double sum = 0;
-  for (const auto& change : replacements) sum += change.second.residual.squaredNorm();
-  return sum;
-}
-
 template <class Pose>
 typename LinearizedGraph<Pose>::Steps TakeStep(const std::vector<int>* scope, StepContext<Pose>& step) {
   return step.map.TakeStep(scope, step.options.propagation_tolerance * step.map.CostUnit(), step.report);

@@ -86,13 +86,6 @@ bool IsOutgrown(int variable, const LinearizedGraph<Pose>& map, const Incrementa
          d.template tail<Pose::kDof - Pose::kDim>().norm() > options.relinearize_radians;
 }
 
-template <int B>
-double SquaredResiduals(const std::vector<std::pair<int, LinearFactor<B>>>& replaced) {
-  double sum = 0;
-  for (const auto& change : replaced) sum += change.second.residual.squaredNorm();
-  return sum;
-}
-
 }  // namespace
 
 template <class Pose>

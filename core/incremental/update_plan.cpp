@@ -9,6 +9,7 @@
 
 #include "terse/core/at.h"
 #include "terse/core/disjoint_sets.h"
+#include "terse/core/pose_name.h"
 
 namespace terse::internal {
 namespace {
@@ -20,14 +21,14 @@ void Validate(const GraphUpdate<Pose>& update, const PoseGraph<Pose>& graph) {
   std::set<PoseId> fresh;
   for (const auto& pose : update.poses) {
     if (graph.HasPose(pose.id) || !fresh.insert(pose.id).second) {
-      throw std::invalid_argument("pose " + std::to_string(pose.id.value) + " is in the graph already");
+      throw std::invalid_argument(Name(pose.id) + " is in the graph already");
     }
   }
   for (const auto& factor : update.factors) {
     const FactorPoses ends = PosesOf(factor);
     for (const PoseId id : {ends.first, ends.second}) {
       if (!graph.HasPose(id) && fresh.count(id) == 0) {
-        throw std::invalid_argument("pose " + std::to_string(id.value) + " is not in the graph");
+        throw std::invalid_argument(Name(id) + " is not in the graph");
       }
     }
     const std::string defect = FindDefect(factor);
@@ -46,10 +47,9 @@ void Validate(const GraphUpdate<Pose>& update, const PoseGraph<Pose>& graph) {
   std::set<FactorId> removed;
   for (const auto& pose : update.poses) {
     const bool finite = !pose.T_world_body || IsFinite(*pose.T_world_body);
-    if (!finite)
-      throw std::invalid_argument("pose " + std::to_string(pose.id.value) + " has a value that is not finite");
+    if (!finite) throw std::invalid_argument(Name(pose.id) + " has a value that is not finite");
     if (pose.fixed && !pose.T_world_body) {
-      throw std::invalid_argument("pose " + std::to_string(pose.id.value) + " is fixed but has no value");
+      throw std::invalid_argument(Name(pose.id) + " is fixed but has no value");
     }
   }
   for (const FactorId id : update.removed) {
@@ -106,8 +106,7 @@ void PlanNewPoses(const GraphUpdate<Pose>& update, const LinearizedGraph<Pose>& 
   }
   for (size_t k = 0; k < value.size(); ++k) {
     if (!value[k]) {
-      throw std::invalid_argument("pose " + std::to_string(update.poses[k].id.value) +
-                                  " has no value and no factor to a pose that has one");
+      throw std::invalid_argument(Name(update.poses[k].id) + " has no value and no factor to a pose that has one");
     }
     plan.new_values.push_back(*value[k]);
   }

@@ -1,12 +1,28 @@
-#include "support/symmetric_eigen.h"
+#include "terse/core/symmetric_eigen.h"
 
 #include <Eigen/Eigenvalues>
 
 namespace terse {
 
-SymmetricEigen DecomposeSymmetric(const Eigen::MatrixXd& M) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(M);
+template <int N>
+SymmetricEigen<N> DecomposeSymmetric(const Eigen::Matrix<double, N, N>& M) {
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, N, N>> eigen(M);
   return {eigen.eigenvalues(), eigen.eigenvectors()};
 }
+
+template <int N>
+Eigen::Matrix<double, N, 1> SymmetricEigenvalues(const Eigen::Matrix<double, N, N>& M) {
+  return Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, N, N>>(M, Eigen::EigenvaluesOnly).eigenvalues();
+}
+
+template SymmetricEigen<1> DecomposeSymmetric<1>(const Eigen::Matrix<double, 1, 1>&);
+template SymmetricEigen<2> DecomposeSymmetric<2>(const Eigen::Matrix<double, 2, 2>&);
+template SymmetricEigen<3> DecomposeSymmetric<3>(const Eigen::Matrix<double, 3, 3>&);
+template SymmetricEigen<6> DecomposeSymmetric<6>(const Eigen::Matrix<double, 6, 6>&);
+template SymmetricEigen<Eigen::Dynamic> DecomposeSymmetric<Eigen::Dynamic>(const Eigen::MatrixXd&);
+template Eigen::Matrix<double, 2, 1> SymmetricEigenvalues<2>(const Eigen::Matrix<double, 2, 2>&);
+template Eigen::Matrix<double, 3, 1> SymmetricEigenvalues<3>(const Eigen::Matrix<double, 3, 3>&);
+template Eigen::Matrix<double, 6, 1> SymmetricEigenvalues<6>(const Eigen::Matrix<double, 6, 6>&);
+template Eigen::VectorXd SymmetricEigenvalues<Eigen::Dynamic>(const Eigen::MatrixXd&);
 
 }  // namespace terse

@@ -12,4 +12,10 @@ void RequireOptimum(const BatchResult<Pose>& result) {
   throw NumericalError(result.message);
 }
 
+// Whether it has a Cholesky factor to look into.
+template <class Pose>
+bool HasFactor(const BatchResult<Pose>& solved) {
+  return solved.termination != Termination::kNotPositiveDefinite && solved.cholesky.Variables() > 0;
+}
+
 }  // namespace terse
