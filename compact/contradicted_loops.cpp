@@ -17,8 +17,6 @@ namespace {
 
 constexpr int kLeastRefused = 3;
 constexpr std::size_t kLeastAlone = 50;
-// Where loops are rarer, a first map is one explanation more, and costs little.
-constexpr std::size_t kPosesPerLoop = 4;
 constexpr double kDoubtfulShare = 0.01;
 // An explanation of so many times as many loops is better at any cost.
 constexpr double kManyMore = 1.05;
@@ -175,9 +173,8 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
 template <class Pose>
 std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph) {
   const internal::LoopSupport support = internal::FindSupport(graph);
-  const std::size_t others = support.loops - support.unsupported.size();
   if (!support.are_suspect || support.unsupported.size() < kLeastAlone) return "";
-  if (others * kPosesPerLoop < graph.Poses().size()) return "";
+  if (!support.others_are_many) return "";  // then a first map is one explanation more, and costs little
   return std::to_string(support.unsupported.size()) + " of " + std::to_string(support.loops) +
          " loops have no other that bears them out";
 }

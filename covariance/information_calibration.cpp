@@ -6,6 +6,8 @@
 #include <vector>
 
 #include "terse/core/chi_square.h"
+#include "terse/core/robust.h"
+#include "terse/core/supported_loops.h"
 #include "terse/covariance/information_probe.h"
 #include "terse/covariance/information_scale.h"
 
@@ -31,6 +33,8 @@ Band BandOf(const StatedInformation& stated) {
 constexpr double kMoreAgree = 0.35;
 // The sample over this will do where the verdict does not depend on it.
 constexpr int kForReport = 4;
+// Without loops that no other bears out, found standard deviations may be smaller for that alone, but not by so much.
+constexpr double kMuchSmaller = 3;
 
 bool IsTooCertain(const Band& band, const ScaleEstimate& found) {
   return found.determined && found.sigma_factor > band.larger * std::exp(2 * found.log_error);
@@ -104,19 +108,17 @@ std::string What(const StatedInformation& stated) {
   return "the information is too certain";
 }
 
-}  // namespace
-
-const char* Name(InformationVerdict verdict) {
-  switch (verdict) {
-    case InformationVerdict::kConsistent: return "consistent";
-    case InformationVerdict::kContradicted: return "contradicted";
-    case InformationVerdict::kUndetermined: return "undetermined";
+double LargestFactor(const InformationEstimate& estimate) {
+  double largest = 0;
+  for (const ScaleEstimate* group : All(estimate)) {
+    if (group->determined) largest = std::max(largest, group->sigma_factor);
   }
-  return "?";
+  return largest;
 }
 
+// By what all loops of the graph say.
 template <class Pose>
-InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
+InformationCalibration CalibrateByAll(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   InformationCalibration out;
   out.stated = DescribeInformation(graph);
   EstimateOptions sample = options;
@@ -132,20 +134,18 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
     return out;
   }
   bool any_determined = false, all_at_floor = true, is_too_certain = false, is_too_cautious = false;
-  double largest = 1;
   const Band band = BandOf(out.stated);
   for (const ScaleEstimate* group : All(found)) {
     any_determined = any_determined || group->determined;
     all_at_floor = all_at_floor && (group->at_floor || !group->determined);
     is_too_certain = is_too_certain || IsTooCertain(band, *group);
-    if (group->determined) largest = std::max(largest, group->sigma_factor);
     is_too_cautious = is_too_cautious || IsTooCautious(band, *group);
   }
   if (!any_determined) {
     out.message = "the residuals cannot tell whether the information is right (too few loops)";
   } else if (all_at_floor) {
     out.message = "the measurements agree to rounding: their residuals cannot tell whether the information is right";
-  } else if (is_too_certain && found.agreeing_loops > AgreeingLoops<Pose>(largest) + kMoreAgree) {
+  } else if (is_too_certain && found.agreeing_loops > AgreeingLoops<Pose>(std::max(1.0, LargestFactor(found))) + kMoreAgree) {
     out.verdict = InformationVerdict::kConsistent;
     out.message = OthersAreWrong(found.agreeing_loops);
   } else if (!is_too_certain && !is_too_cautious) {
@@ -164,6 +164,32 @@ InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const 
                   part(", ", out.stated.loops, found.loops) + (out.stated.loops.edges > 0 ? " (loops)" : "");
   }
   return out;
+}
+
+}  // namespace
+
+const char* Name(InformationVerdict verdict) {
+  switch (verdict) {
+    case InformationVerdict::kConsistent: return "consistent";
+    case InformationVerdict::kContradicted: return "contradicted";
+    case InformationVerdict::kUndetermined: return "undetermined";
+  }
+  return "?";
+}
+
+template <class Pose>
+InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
+  InformationCalibration out = CalibrateByAll(graph, options);
+  if (out.verdict != InformationVerdict::kContradicted) return out;
+  const internal::LoopSupport support = internal::FindSupport(graph);
+  if (support.unsupported.empty() || !support.others_are_many) return out;
+  const PoseGraph<Pose> others = WithoutFactors(graph, support.unsupported);
+  if (ConnectedComponents(others).size() > 1) return out;
+  InformationCalibration by_others = CalibrateByAll(others, options);
+  const bool is_told = by_others.verdict != InformationVerdict::kUndetermined;
+  if (!is_told || LargestFactor(out.estimate) < kMuchSmaller * LargestFactor(by_others.estimate)) return out;
+  by_others.message += ", without " + std::to_string(support.unsupported.size()) + " loops that no other bears out";
+  return by_others;
 }
 
 template InformationCalibration CalibrateInformation<SE2>(const PoseGraph<SE2>&, const EstimateOptions&);

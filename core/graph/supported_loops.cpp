@@ -26,6 +26,7 @@ constexpr double kQuantile = 0.999;
 // Of what is suspect: the share of the loops, how many others there are to compare with, squared errors over theirs.
 constexpr double kManyAlone = 0.1, kMostAlone = 1.0 / 3, kMuchWorse = 2.5;
 constexpr size_t kLeastOthers = 8;
+constexpr size_t kPosesPerLoop = 4;
 
 // Those that are edges between two poses, in order of their ids. Rank: a pose's place in order of arrival.
 template <class Pose>
@@ -143,6 +144,7 @@ LoopSupport FindSupport(const PoseGraph<Pose>& graph) {
       static_cast<double>(out.unsupported.size()) / static_cast<double>(std::max<size_t>(1, out.loops));
   out.are_suspect = share > kManyAlone && others.size() >= kLeastOthers && !alone.empty() &&
                     (share > kMostAlone || Median(alone) > kMuchWorse * Median(others));
+  out.others_are_many = (out.loops - out.unsupported.size()) * kPosesPerLoop >= rank.size();
   return out;
 }
 

@@ -26,7 +26,9 @@
 namespace terse {
 namespace {
 // Looks at the loops that are out, each time from a new minimum.
-constexpr int kMostFinishRounds = 10;
+constexpr int kMostFinishRounds = 10, kMostVainRounds = 2;
+// What falls by less is where it was.
+constexpr double kSameCost = 1e-6;
 // Before the last round: with wrong loops in, a solver creeps, and what is judged need not be that near.
 constexpr int kIterationsOfRound = 20;
 // A step without loops that still expects to lower the cost by so many loops: the steps lead nowhere.
@@ -367,11 +369,14 @@ BatchResult<Pose> IncrementalSolver<Pose>::Finish(const BatchOptions& options) {
     judge.DropRefused(step);
     BatchOptions near = options;
     near.max_iterations = std::min(options.max_iterations, kIterationsOfRound);
-    FinishFrom(Estimates(), near);
-    for (int round = 0; round < kMostFinishRounds; ++round) {
+    double lowest = FinishFrom(Estimates(), near).robust_cost;
+    int vain = 0;  // rounds in a row after which everything came back
+    for (int round = 0; round < kMostFinishRounds && vain < kMostVainRounds; ++round) {
       if (!judge.ReviewAllOdometry(step) && !judge.JudgeParkedGroups(step)) break;
       parts_->RestartWithoutEvicted(step);
-      FinishFrom(Estimates(), near);
+      const double cost = FinishFrom(Estimates(), near).robust_cost;
+      vain = cost < lowest * (1 - kSameCost) ? 0 : vain + 1;
+      lowest = std::min(lowest, cost);
     }
     BatchResult<Pose> result = FinishFrom(Estimates(), options);
     if (!options.graduate || result.termination == Termination::kNotPositiveDefinite) return result;

@@ -25,6 +25,8 @@ struct LoopSupport {
   // contradicts half of the others, whatever the scale of the information; or more than one in three, where odometry
   // may know too little to contradict any.
   bool are_suspect = false;
+  // The others can do without them: there is one for every four poses.
+  bool others_are_many = false;
 };
 template <class Pose>
 LoopSupport FindSupport(const PoseGraph<Pose>& graph);
