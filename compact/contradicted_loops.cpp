@@ -23,8 +23,6 @@ constexpr double kManyMore = 1.05;
 // With so few loops, one through a kernel so many times as wide is looked at too.
 constexpr std::size_t kFewLoops = 500;
 constexpr double kWider = 2;
-// Of the loops that are left, so many more may be given up for telling them apart with less caution.
-constexpr double kStricter = 0.005;
 // Which loops contradict a trajectory does not take the last digits of it.
 constexpr double kTolerance = 1e-6;
 constexpr int kMostIterations = 50;
@@ -39,7 +37,15 @@ struct Explanation {
   double wide_cost = 0;                // by the wider kernel
   double open_cost = 0;                // by k as much wider, but no wider than the kernel
   std::vector<FactorId> contradicted;  // loops, by far
+  double left_out = 0;                 // chi2 over which the kernel leaves a loop out
 };
+
+template <class Pose>
+double Chi2Of(const Factor<Pose>& factor, const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
+  const FactorPoses ends = PosesOf(factor);
+  const auto value = [&](PoseId id) { return values[static_cast<std::size_t>(graph.IndexOf(id))]; };
+  return FactorChi2(factor, value(ends.first), value(ends.second));
+}
 
 // What is asked of an explanation.
 template <class Pose>
@@ -52,7 +58,7 @@ class Judge {
       : graph_(graph), loops_(LoopFactors(graph)), left_out_(std::pow(by_gnc.robust_width, 2)) {
     std::vector<double> explained;
     for (const FactorId id : loops_) {
-      const double chi2 = Chi2(graph.FindFactor(id)->factor, by_gnc.T_world_body);
+      const double chi2 = Chi2Of(graph.FindFactor(id)->factor, graph, by_gnc.T_world_body);
       if (chi2 <= left_out_) explained.push_back(chi2);
     }
     double scale = 1;
@@ -65,10 +71,10 @@ class Judge {
   }
 
   Explanation<Pose> Weigh(std::vector<Pose> T_world_body) const {
-    Explanation<Pose> out{std::move(T_world_body), 0, 0, 0, {}};
+    Explanation<Pose> out{std::move(T_world_body), 0, 0, 0, {}, left_out_};
     for (const auto& node : graph_.Factors()) {
       const bool is_loop = std::binary_search(loops_.begin(), loops_.end(), node.id);
-      const double chi2 = Chi2(node.factor, out.T_world_body);
+      const double chi2 = Chi2Of(node.factor, graph_, out.T_world_body);
       out.cost += is_loop ? std::min(chi2, k_) : chi2;
       out.open_cost += is_loop ? std::min({chi2, kWider * kWider * k_, left_out_}) : chi2;
       out.wide_cost += is_loop ? std::min(chi2, kWider * kWider * left_out_) : chi2;
@@ -94,40 +100,14 @@ class Judge {
   std::size_t Explained(const Explanation<Pose>& by) const { return loops_.size() - by.contradicted.size(); }
 
  private:
-  double Chi2(const Factor<Pose>& factor, const std::vector<Pose>& values) const {
-    const FactorPoses ends = PosesOf(factor);
-    const auto value = [&](PoseId id) { return values[static_cast<std::size_t>(graph_.IndexOf(id))]; };
-    return FactorChi2(factor, value(ends.first), value(ends.second));
-  }
-
   const PoseGraph<Pose>& graph_;
   std::vector<FactorId> loops_;
   double left_out_, k_ = 0;
 };
 
-// Of all poses, by their index in the graph.
+// ContradictedLoops, with the values that say so.
 template <class Pose>
-std::vector<Pose> ValuesOf(const CompactPoseSlam<Pose>& slam, const PoseGraph<Pose>& graph) {
-  std::vector<Pose> values(graph.Poses().size());
-  for (const RecoveredPose<Pose>& pose : slam.Trajectory()) {
-    values[static_cast<std::size_t>(graph.IndexOf(pose.id))] = pose.T_world_body;
-  }
-  return values;
-}
-
-}  // namespace
-
-bool AreLoopsInDoubt(long refused, long offered) {
-  return refused >= kLeastRefused && static_cast<double>(refused) > kDoubtfulShare * static_cast<double>(offered);
-}
-
-template <class Pose>
-bool AreLoopsInDoubt(const CompactRun<Pose>& run) {
-  return AreLoopsInDoubt(run.links_refused, run.links_offered);
-}
-
-template <class Pose>
-std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options) {
+Explanation<Pose> BestExplanation(const PoseGraph<Pose>& graph, const std::vector<Pose>& first, BatchOptions options) {
   // The map's width, where it is open, leaves room for what a map with few links does not know.
   options.robust.quantile = RobustOptions().quantile;
   options.relative_tolerance = std::max(options.relative_tolerance, kTolerance);
@@ -167,7 +147,41 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
     Explanation<Pose> other = judge.Weigh(SolveBatch(graph, wider).T_world_body);
     if (judge.ExplainsManyMore(other, best) && other.wide_cost < best.wide_cost) best = std::move(other);
   }
-  return best.contradicted;
+  return best;
+}
+
+// Of all measurements, at these values.
+template <class Pose>
+long CountContradicted(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_world_body, double left_out) {
+  return std::count_if(graph.Factors().begin(), graph.Factors().end(), [&](const auto& node) {
+    return Chi2Of(node.factor, graph, T_world_body) > internal::kByFar * left_out;
+  });
+}
+
+// Of all poses, by their index in the graph.
+template <class Pose>
+std::vector<Pose> ValuesOf(const CompactPoseSlam<Pose>& slam, const PoseGraph<Pose>& graph) {
+  std::vector<Pose> values(graph.Poses().size());
+  for (const RecoveredPose<Pose>& pose : slam.Trajectory()) {
+    values[static_cast<std::size_t>(graph.IndexOf(pose.id))] = pose.T_world_body;
+  }
+  return values;
+}
+
+}  // namespace
+
+bool AreLoopsInDoubt(long refused, long offered) {
+  return refused >= kLeastRefused && static_cast<double>(refused) > kDoubtfulShare * static_cast<double>(offered);
+}
+
+template <class Pose>
+bool AreLoopsInDoubt(const CompactRun<Pose>& run) {
+  return AreLoopsInDoubt(run.links_refused, run.links_offered);
+}
+
+template <class Pose>
+std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options) {
+  return BestExplanation(graph, first, std::move(options)).contradicted;
 }
 
 template <class Pose>
@@ -208,25 +222,24 @@ bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
 template <class Pose>
 bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& first) {
   if (on_judging) on_judging(why);
-  const auto judge = [&](const InformationScale& scale, const PoseGraph<Pose>& scaled) {
-    std::vector<FactorId> ids = ContradictedLoops(scaled, first, options_);
-    if (scale.IsOne()) return ids;
-    // A scaled graph numbers its factors by their place.
-    for (FactorId& id : ids) id = graph_.Factors()[static_cast<std::size_t>(id.value)].id;
-    std::sort(ids.begin(), ids.end());
-    return ids;
-  };
   const bool is_whole = left_out_.empty();  // what remains
-  std::vector<FactorId> found = is_whole         ? judge(scale_, Remaining())
-                                : scale_.IsOne() ? judge(scale_, graph_)
-                                                 : judge(scale_, ScaleInformation(graph_, scale_));
+  std::optional<PoseGraph<Pose>> scaled;
+  if (!is_whole && !scale_.IsOne()) scaled = ScaleInformation(graph_, scale_);
+  Explanation<Pose> best = BestExplanation(is_whole ? Remaining() : scaled ? *scaled : graph_, first, options_);
+  bool has_other_ids = !scale_.IsOne();  // a scaled graph numbers its factors by their place
   if (scale_.IsOne() && !without_caution_.IsOne()) {
-    std::vector<FactorId> stricter = judge(without_caution_, ScaleInformation(graph_, without_caution_));
-    const std::size_t loops = LoopFactors(graph_).size() - found.size();
-    if (static_cast<double>(stricter.size()) <=
-        static_cast<double>(found.size()) + kStricter * static_cast<double>(loops)) {
-      found = std::move(stricter);
-    }
+    const PoseGraph<Pose> strict = ScaleInformation(graph_, without_caution_);
+    Explanation<Pose> stricter = BestExplanation(strict, first, options_);
+    const auto contradicted = [&](const Explanation<Pose>& by) {
+      return CountContradicted(strict, by.T_world_body, stricter.left_out);
+    };
+    has_other_ids = contradicted(stricter) <= contradicted(best);
+    if (has_other_ids) best = std::move(stricter);
+  }
+  std::vector<FactorId> found = std::move(best.contradicted);
+  if (has_other_ids) {
+    for (FactorId& id : found) id = graph_.Factors()[static_cast<std::size_t>(id.value)].id;
+    std::sort(found.begin(), found.end());
   }
   if (found == left_out_) return false;
   left_out_ = std::move(found);

@@ -145,7 +145,8 @@ InformationCalibration CalibrateByAll(const PoseGraph<Pose>& graph, const Estima
     out.message = "the residuals cannot tell whether the information is right (too few loops)";
   } else if (all_at_floor) {
     out.message = "the measurements agree to rounding: their residuals cannot tell whether the information is right";
-  } else if (is_too_certain && found.agreeing_loops > AgreeingLoops<Pose>(std::max(1.0, LargestFactor(found))) + kMoreAgree) {
+  } else if (is_too_certain &&
+             found.agreeing_loops > AgreeingLoops<Pose>(std::max(1.0, LargestFactor(found))) + kMoreAgree) {
     out.verdict = InformationVerdict::kConsistent;
     out.message = OthersAreWrong(found.agreeing_loops);
   } else if (!is_too_certain && !is_too_cautious) {

@@ -325,6 +325,7 @@ class Search {
   // Directions of the same pose that move the same poses are one motion.
   void Report(Freedom freedom, const std::vector<int>& members, int variable, const MatrixX& directions) {
     std::vector<PoseId> ids;
+    ids.reserve(members.size());
     for (const int v : members) ids.push_back(ids_[At(v)]);
     std::sort(ids.begin(), ids.end());
     const size_t count = ids.size();

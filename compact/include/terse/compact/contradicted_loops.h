@@ -57,7 +57,8 @@ class LoopJury {
  public:
   // `graph` is to outlive it, its information is stated. `information`: what CalibrateInformation finds of it, or
   // nothing. Its scale is found again of what remains when loops are left out: wrong ones spoil it. Where information
-  // is far too cautious loops are judged with less of that too, which counts unless it leaves out one in 200 more.
+  // is far too cautious loops are judged with less of that too; what counts is the explanation that contradicts fewer
+  // measurements by that, odometry among them.
   // `robust`: of the map's solver; without kGnc there is nothing to judge. `options`: of the solves.
   LoopJury(const PoseGraph<Pose>& graph, const InformationCalibration& information, const RobustOptions& robust,
            BatchOptions options = {});
