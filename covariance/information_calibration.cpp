@@ -2,6 +2,7 @@
 #include <array>
 #include <cmath>
 #include <cstdio>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -35,6 +36,9 @@ constexpr double kMoreAgree = 0.35;
 constexpr int kForReport = 4;
 // Without loops that no other bears out, found standard deviations may be smaller for that alone, but not by so much.
 constexpr double kMuchSmaller = 3;
+// True loops that stand alone, as many do where the information is too certain, are as far from the odometry as others
+// are: so many times as far (squared; 0.8 to 1.9 times were seen) are wrong ones.
+constexpr double kFarWorse = 5;
 
 bool IsTooCertain(const Band& band, const ScaleEstimate& found) {
   return found.determined && found.sigma_factor > band.larger * std::exp(2 * found.log_error);
@@ -180,17 +184,28 @@ const char* Name(InformationVerdict verdict) {
 
 template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
+  const internal::LoopSupport support = internal::FindSupport(graph);
+  const PoseGraph<Pose> others = WithoutFactors(graph, support.unsupported);
+  if (support.unsupported.empty() || !support.others_are_many || ConnectedComponents(others).size() > 1) {
+    return CalibrateByAll(graph, options);
+  }
+  const auto by_others = [&] {
+    InformationCalibration out = CalibrateByAll(others, options);
+    out.message += ", without " + std::to_string(support.unsupported.size()) + " loops that no other bears out";
+    return out;
+  };
+  // With many wrong loops every solution costs many times more.
+  std::optional<InformationCalibration> without;
+  if (support.are_suspect && support.alone_over_others > kFarWorse) {
+    without = by_others();
+    if (without->verdict == InformationVerdict::kConsistent) return *without;
+  }
   InformationCalibration out = CalibrateByAll(graph, options);
   if (out.verdict != InformationVerdict::kContradicted) return out;
-  const internal::LoopSupport support = internal::FindSupport(graph);
-  if (support.unsupported.empty() || !support.others_are_many) return out;
-  const PoseGraph<Pose> others = WithoutFactors(graph, support.unsupported);
-  if (ConnectedComponents(others).size() > 1) return out;
-  InformationCalibration by_others = CalibrateByAll(others, options);
-  const bool is_told = by_others.verdict != InformationVerdict::kUndetermined;
-  if (!is_told || LargestFactor(out.estimate) < kMuchSmaller * LargestFactor(by_others.estimate)) return out;
-  by_others.message += ", without " + std::to_string(support.unsupported.size()) + " loops that no other bears out";
-  return by_others;
+  if (!without) without = by_others();
+  const bool is_told = without->verdict != InformationVerdict::kUndetermined;
+  const bool is_smaller = LargestFactor(out.estimate) >= kMuchSmaller * LargestFactor(without->estimate);
+  return is_told && is_smaller ? *without : out;
 }
 
 template InformationCalibration CalibrateInformation<SE2>(const PoseGraph<SE2>&, const EstimateOptions&);

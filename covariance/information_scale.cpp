@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 #include "information_kinds.h"
 #include "information_sample.h"
@@ -36,7 +37,7 @@ constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of
 constexpr int kStepsTogether = 2;
 constexpr int kFirstIterations = 60;  // of truncated least squares
 constexpr double kTolerance = 1e-4;   // relative, of chi2
-// Scales that moved by less keep the loops that are in as a start; logarithm.
+// Scales that moved by less keep the loops that are in as a start, and are one of those to try; logarithm.
 constexpr double kMovesLittle = 0.3;
 // Standard deviations that are stated too small by less may be left.
 constexpr double kMayBeLeft = 2;
@@ -124,6 +125,7 @@ class Estimator {
     ByGroup<Found> found;
     ByGroup<double> log_scale;
     InformationEstimate out;
+    bool is_told_apart = false;  // by truncated least squares
   };
 
   // From the information as stated, without any doubt of loops; or from a scale, at which truncated least squares tells
@@ -152,7 +154,7 @@ class Estimator {
         out.failure = "no loop is wrong";
       }
     }
-    return {found_, log_scale_, out};
+    return {found_, log_scale_, out, is_suspicious_ && scale};
   }
 
   // Residuals far larger than short cycles tell come of odometry that drifts more than its steps say, or of so many
@@ -172,7 +174,7 @@ class Estimator {
       if (of_cycles > 0) over_cycles = std::max(over_cycles, found.sigma_factor / of_cycles);
     }
     const bool bends = !cycles || over_cycles > kFarLargerThanCycles;
-    std::optional<double> lowest;
+    Lowest lowest = {LeastCost(best.log_scale), true};
     if (over_stated > kMayBeLeft && (bends || out_.agreeing_loops > internal::kManyAgree)) Try({1, 1}, best, lowest);
     if (!bends) return;
     if (cycles) Try(*cycles, best, lowest);
@@ -189,32 +191,48 @@ class Estimator {
     }
   }
 
-  // Whether the attempt from there is more probable than the best one, whose cost is `lowest` if that is known. Of a
-  // few loops, some of them wrong, residuals may take one of translation and rotation to its floor and leave all to the
-  // other: where that is less probable, the scales that it began with are better.
-  bool Try(const KindScale& start, Attempt& best, std::optional<double>& lowest) {
+  // Of the best attempt. To solve for it costs more than to know what it is not below.
+  struct Lowest {
+    double cost = 0;
+    bool is_bound = false;
+  };
+  bool IsLower(double cost, const Attempt& best, Lowest& lowest) const {
+    if (lowest.is_bound && cost >= lowest.cost) lowest = {CostOf(best), false};
+    return cost < lowest.cost;
+  }
+
+  // Whether the attempt from there is more probable than the best one. Of a few loops, some of them wrong, residuals
+  // may lead away from scales that were right, or take one of translation and rotation to its floor and leave all to
+  // the other: where that is less probable, the scales that it began with are better.
+  bool Try(const KindScale& start, Attempt& best, Lowest& lowest) {
+    constexpr double kNone = std::numeric_limits<double>::infinity();
+    const ByGroup<double> log_start = LogScales(start);
     const bool is_below = IsBelowFloor(start);
-    if (!lowest && !is_below) lowest = Cost(best.log_scale);
-    const double at_start = is_below ? std::numeric_limits<double>::infinity() : Cost(LogScales(start));
-    if (!is_below && at_start >= *lowest) return false;
+    told_apart_.reset();
+    double at_start = kNone;
+    if (!is_below) {
+      if (best.is_told_apart && AreNear(log_start, best.log_scale)) return false;
+      if (!IsLower(LeastCost(log_start), best, lowest)) return false;
+      told_apart_ = SolveAt(log_start);
+      at_start = CostOf(log_start, *told_apart_);
+      if (!IsLower(at_start, best, lowest)) return false;
+    }
     Attempt other = AttemptFrom(start);
     const auto is_of_copies = [](const Found& f) { return f.estimate.at_floor; };
     // Copies alone tell nothing.
     const bool fails = !other.out.failure.empty() || std::all_of(other.found.begin(), other.found.end(), is_of_copies);
-    if (!lowest && !fails) lowest = Cost(best.log_scale);
-    double cost = fails ? std::numeric_limits<double>::infinity() : Cost(other.log_scale);
+    double cost = fails ? kNone : CostOf(other);
     if (std::any_of(other.found.begin(), other.found.end(), is_of_copies) && at_start < cost) {
       cost = at_start;
       other.out.failure.clear();
-      other.log_scale = LogScales(start);
+      other.log_scale = log_start;
       for (int g = 0; g < kGroups; ++g) {
         other.found[At(g)].estimate.sigma_factor = std::exp(other.log_scale[At(g)]);
         other.found[At(g)].estimate.at_floor = false;
       }
     }
-    if (fails && cost == std::numeric_limits<double>::infinity()) return false;
-    if (cost >= *lowest) return false;
-    lowest = cost;
+    if (cost == kNone || !IsLower(cost, best, lowest)) return false;
+    lowest = {cost, false};
     other.out.normalized_chi2 = best.out.normalized_chi2;
     best = std::move(other);
     return true;
@@ -226,12 +244,23 @@ class Estimator {
   }
 
   // Where truncated least squares comes to at these scales.
-  double Cost(const ByGroup<double>& log_scale) const {
-    const std::vector<ProbeTerm<Pose>> terms = ScaledTerms(log_scale);
-    const PoseGraph<Pose> graph = GraphOf(terms);
-    const BatchResult<Pose> solved = SolveBatch(graph, Composed(), ToldApart(graph));
+  BatchResult<Pose> SolveAt(const ByGroup<double>& log_scale) const {
+    const PoseGraph<Pose> graph = GraphOf(ScaledTerms(log_scale));
+    return SolveBatch(graph, Composed(), ToldApart(graph));
+  }
+  double CostOf(const ByGroup<double>& log_scale, const BatchResult<Pose>& solved) const {
     if (solved.cholesky.Variables() == 0) return std::numeric_limits<double>::infinity();
-    return internal::CostOfScales(terms, sample_.is_loop, solved);
+    return internal::CostOfScales(ScaledTerms(log_scale), sample_.is_loop, solved);
+  }
+  double CostOf(const Attempt& attempt) const { return CostOf(attempt.log_scale, SolveAt(attempt.log_scale)); }
+  double LeastCost(const ByGroup<double>& log_scale) const {
+    return internal::LeastCostOfScales(ScaledTerms(log_scale), sample_.is_loop);
+  }
+
+  static bool AreNear(const ByGroup<double>& a, const ByGroup<double>& b) {
+    double largest = 0;
+    for (int g = 0; g < kGroups; ++g) largest = std::max(largest, std::abs(a[At(g)] - b[At(g)]));
+    return largest < kMovesLittle;
   }
 
   PoseGraph<Pose> GraphOf(const std::vector<ProbeTerm<Pose>>& terms) const {
@@ -339,7 +368,9 @@ class Estimator {
     }
     solve.max_iterations = is_first ? (is_suspicious_ ? kFirstIterations : 50) : 10;
     solve.relative_tolerance = kTolerance;
-    const BatchResult<Pose> result = SolveBatch(weighted, values, solve);
+    const bool is_solved = is_suspicious_ && is_first && told_apart_.has_value();
+    const BatchResult<Pose> result =
+        is_solved ? *std::exchange(told_apart_, std::nullopt) : SolveBatch(weighted, values, solve);
     if (result.cholesky.Variables() == 0) {
       out_.failure = result.message;
       return false;
@@ -458,7 +489,8 @@ class Estimator {
   const EstimateOptions options_;
   const StatedInformation stated_;
   InformationSample<Pose> sample_;
-  std::vector<Pose> start_;
+  std::vector<Pose> start_, values_;             // of an attempt
+  std::optional<BatchResult<Pose>> told_apart_;  // from there at the scales that are tried, if that is known
   ByGroup<double> floor_{}, log_scale_{};
   ByGroup<Found> found_{};
   int steps_suspicious_ = 0;

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "terse/core/at.h"
 #include "terse/core/residual.h"
@@ -71,7 +72,24 @@ double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector
   return cost + normals * Pose::kDof * kLogTwoPi / 2;
 }
 
+template <class Pose>
+double LeastCostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<char>& is_loop) {
+  const double log_range = LogRange(ForwardEdges(terms, is_loop));
+  double cost = -Pose::kDof * kLogTwoPi / 2;
+  int poses = 1, steps = 0;
+  for (std::size_t k = 0; k < terms.size(); ++k) {
+    poses = std::max({poses, terms[k].first + 1, terms[k].second + 1});
+    steps += !is_loop[k];
+    if (!is_loop[k]) continue;
+    const Eigen::LLT<typename Pose::Jacobian> llt(terms[k].factor.information);
+    cost += std::min(log_range, Pose::kDof * kLogTwoPi / 2 - HalfLogDeterminant<Pose>(llt));
+  }
+  return steps < poses ? cost : -std::numeric_limits<double>::infinity();
+}
+
 template double CostOfScales(const std::vector<ProbeTerm<SE2>>&, const std::vector<char>&, const BatchResult<SE2>&);
 template double CostOfScales(const std::vector<ProbeTerm<SE3>>&, const std::vector<char>&, const BatchResult<SE3>&);
+template double LeastCostOfScales(const std::vector<ProbeTerm<SE2>>&, const std::vector<char>&);
+template double LeastCostOfScales(const std::vector<ProbeTerm<SE3>>&, const std::vector<char>&);
 
 }  // namespace terse::internal

@@ -5,7 +5,9 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
+#include <limits>
 #include <vector>
 
 #include "terse/core/batch_solver.h"
@@ -110,6 +112,40 @@ TYPED_TEST(ScaleEvidence, HasTheClosedFormOfOneScale) {
   for (const double scale : {0.3, 2.0, 10.0}) {
     const double expected = chi2 / 2 * (1 / (scale * scale) - 1) + redundancy * std::log(scale);
     EXPECT_NEAR(solved_at(scale).first - cost, expected, 1e-4 * std::abs(expected)) << scale;
+  }
+}
+
+// Whatever is wrong, at scales that fit and at ones that do not.
+TYPED_TEST(ScaleEvidence, NoChoiceOfWrongLoopsCostsLess) {
+  using Pose = TypeParam;
+  for (const std::uint64_t seed : testing::Seeds(11, 14)) {
+    const auto passes = MakePasses<Pose>(seed, 60, 1, 3);
+    double above = 0;
+    for (const double scale : {0.1, 0.5, 1.0, 5.0, 40.0}) {
+      auto terms = passes.terms;
+      for (auto& term : terms) term.factor.information /= scale * scale;
+      const double least = LeastCostOfScales(terms, passes.is_loop);
+      for (const double width : {0.1, 3.0, 1e6}) {
+        BatchOptions options;
+        options.robust.kernel = RobustKernel::kGnc;
+        options.robust.width = width;
+        options.robust_factors = LoopFactors(GraphOf(terms, passes.truth.size()));
+        const auto solved = SolveBatch(GraphOf(terms, passes.truth.size()), passes.truth, options);
+        const double cost = CostOfScales(terms, passes.is_loop, solved);
+        EXPECT_LE(least, cost) << "seed " << seed << ", scale " << scale << ", width " << width;
+        above = std::max(above, least);
+      }
+    }
+    // It tells something: at a scale far too large it is more than the right one costs without wrong loops.
+    const auto right = MakePasses<Pose>(seed, 60, 1, 0);
+    BatchResult<Pose> solved = SolveBatch(GraphOf(right.terms, right.truth.size()), right.truth, BatchOptions());
+    solved.weights.assign(right.terms.size(), 1);
+    EXPECT_GT(above, CostOfScales(right.terms, right.is_loop, solved)) << seed;
+    auto twice = passes.terms;
+    twice.push_back(twice.front());
+    std::vector<char> is_loop = passes.is_loop;
+    is_loop.push_back(false);
+    EXPECT_EQ(LeastCostOfScales(twice, is_loop), -std::numeric_limits<double>::infinity());
   }
 }
 

@@ -142,8 +142,9 @@ LoopSupport FindSupport(const PoseGraph<Pose>& graph) {
   std::sort(out.unsupported.begin(), out.unsupported.end());
   const double share =
       static_cast<double>(out.unsupported.size()) / static_cast<double>(std::max<size_t>(1, out.loops));
+  if (!alone.empty() && !others.empty()) out.alone_over_others = Median(alone) / Median(others);
   out.are_suspect = share > kManyAlone && others.size() >= kLeastOthers && !alone.empty() &&
-                    (share > kMostAlone || Median(alone) > kMuchWorse * Median(others));
+                    (share > kMostAlone || out.alone_over_others > kMuchWorse);
   out.others_are_many = (out.loops - out.unsupported.size()) * kPosesPerLoop >= rank.size();
   return out;
 }

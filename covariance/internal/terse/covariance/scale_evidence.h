@@ -17,4 +17,9 @@ template <class Pose>
 double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<char>& is_loop,
                     const BatchResult<Pose>& solved);
 
+// No choice of wrong loops and no residuals make it less: a loop is foretold no better than it measures. Nothing
+// (-infinity) is known where odometry goes from pose to pose more than once. O(E).
+template <class Pose>
+double LeastCostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<char>& is_loop);
+
 }  // namespace terse::internal
