@@ -1,10 +1,10 @@
 #include "carry.h"
 
-#include <Eigen/Cholesky>
 #include <stdexcept>
 #include <variant>
 
 #include "chains.h"
+#include "terse/core/definite.h"
 #include "terse/core/residual.h"
 #include "terse/core/symmetric_eigen.h"
 
@@ -54,8 +54,8 @@ PositionPriorFactor<Pose> CarryPosition(const PositionPriorFactor<Pose>& prior, 
     const double largest = SymmetricEigenvalues<D>(chain)[D - 1];
     added = largest * Block::Identity();
   }
-  const Block measured = Block(prior.information).llt().solve(Block::Identity());
-  const Block information = Block(measured + added).llt().solve(Block::Identity());
+  const Block measured = InverseOfDefinite<D>(prior.information);
+  const Block information = InverseOfDefinite<D>(measured + added);
   PositionPriorFactor<Pose> out = prior;
   out.pose = seen.base;
   out.p_body = seen.T_base_pose.T_a_b * prior.p_body;

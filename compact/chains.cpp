@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 
+#include "terse/core/definite.h"
 #include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
@@ -11,7 +12,7 @@ RelativePoseFactor<Pose> Measurement(PoseId from, PoseId to, const UncertainPose
                                      CompositionOrder order) {
   const typename Pose::Jacobian covariance =
       order == CompositionOrder::kFirst ? T_from_to.covariance : RetractCovariance(T_from_to);
-  const typename Pose::Jacobian information = covariance.llt().solve(Pose::Jacobian::Identity());
+  const typename Pose::Jacobian information = InverseOfDefinite<Pose::kDof>(covariance);
   return {from, to, T_from_to.T_a_b, (information + information.transpose()) / 2};
 }
 

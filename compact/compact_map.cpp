@@ -1,12 +1,12 @@
 #include "terse/compact/compact_map.h"
 
-#include <Eigen/Cholesky>
 #include <cmath>
 #include <set>
 #include <string>
 #include <type_traits>
 #include <unordered_map>
 
+#include "terse/core/definite.h"
 #include "terse/core/pose_name.h"
 
 namespace terse {
@@ -177,7 +177,7 @@ class Inspection {
       if (parts[k].measurements < 1 || parts[k].measurements > limit) Fail("measurements", "expected 1 or more");
       if (!std::isfinite(parts[k].gain)) Fail("gain_nats", "not finite");
       CheckChain(parts[k].T_from_to, "T_from_to", "covariance");
-      const bool is_definite = parts[k].T_from_to.covariance.llt().info() == Eigen::Success;
+      const bool is_definite = IsDefinite<Pose::kDof>(parts[k].T_from_to.covariance);
       if (!is_definite) Fail("covariance", "not positive definite");
     }
   }

@@ -1,10 +1,10 @@
 #include "compact_parts.h"
 
-#include <Eigen/Cholesky>
 #include <cmath>
 #include <stdexcept>
 
 #include "terse/compact/state_members.h"
+#include "terse/core/definite.h"
 
 namespace terse::internal {
 namespace {
@@ -21,7 +21,7 @@ void CheckThresholds(const Thresholds<Pose>& thresholds) {
   Require(min_loop_gain >= 0 && min_pose_gain >= 0, "gains must not be negative");
   // Cholesky reads one triangle and lets NaN pass.
   const bool symmetric = (link_covariance - link_covariance.transpose()).norm() <= 1e-9 * link_covariance.norm();
-  Require(symmetric && link_covariance.llt().info() == Eigen::Success, "the link covariance is not positive definite");
+  Require(symmetric && IsDefinite<Pose::kDof>(link_covariance), "the link covariance is not positive definite");
 }
 
 template <class Pose>

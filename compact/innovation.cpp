@@ -1,6 +1,6 @@
 #include "terse/compact/innovation.h"
 
-#include <Eigen/Cholesky>
+#include "terse/core/definite.h"
 
 namespace terse {
 
@@ -11,7 +11,7 @@ double InnovationDistance(const UncertainPose<Pose>& predicted, const UncertainP
   const typename Pose::Tangent e = difference.Log();
   const Jacobian A = difference.Inverse().Adjoint();
   const Jacobian sum = predicted.covariance + A * measured.covariance * A.transpose();
-  return sum.llt().matrixL().solve(e).squaredNorm();
+  return MahalanobisSquared<Pose::kDof>(sum, e);
 }
 
 template double InnovationDistance<SE2>(const UncertainPose<SE2>&, const UncertainPose<SE2>&);

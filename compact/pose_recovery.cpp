@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "terse/core/at.h"
+#include "terse/core/definite.h"
 #include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
@@ -28,7 +29,7 @@ Jacobian Share(const Jacobian& P, const Jacobian& P_end) {
 template <class Jacobian>
 Jacobian Gathered(const Jacobian& P, const Jacobian& P_older) {
   Jacobian difference = (P - P_older + (P - P_older).transpose()) / 2;
-  if (difference.llt().info() == Eigen::Success) return difference;
+  if (IsDefinite<Jacobian::RowsAtCompileTime>(difference)) return difference;
   const auto eigen = DecomposeSymmetric<Jacobian::RowsAtCompileTime>(difference);
   return eigen.vectors * eigen.values.cwiseMax(0).asDiagonal() * eigen.vectors.transpose();
 }

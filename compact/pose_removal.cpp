@@ -10,6 +10,7 @@
 #include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
+#include "terse/core/definite.h"
 #include "terse/core/symmetric_eigen.h"
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"
@@ -125,13 +126,13 @@ void Arm<Pose>::Add(PoseId p, const RelativePoseFactor<Pose>& factor) {
 
 template <class Pose>
 typename Pose::Jacobian Arm<Pose>::Covariance() const {
-  const Jacobian covariance = information_.llt().solve(Jacobian::Identity());
+  const Jacobian covariance = InverseOfDefinite<Pose::kDof>(information_);
   return (covariance + covariance.transpose()) / 2;
 }
 
 template <class Pose>
 typename Pose::Tangent Arm<Pose>::Mean() const {
-  return information_.llt().solve(vector_);
+  return SolveDefinite<Pose::kDof>(information_, vector_);
 }
 
 template <class Pose>
@@ -185,7 +186,7 @@ std::optional<Tree<Pose>> RecoverTree(const std::vector<Arm<Pose>>& arms, std::o
   for (int e = 0; e < n; ++e) {
     const auto [i, j] = edges[At(e)];
     const Jacobian covariance = out.scale * Sigma.block<B, B>(B * e, B * e);
-    const Jacobian information = covariance.llt().solve(Jacobian::Identity());
+    const Jacobian information = InverseOfDefinite<B>(covariance);
     if (n > 1 && !IsMild<Pose>(mean.segment<B>(B * e), information)) return std::nullopt;
     const auto factor = FactorOf<Pose>(star.Estimate(i, j), mean.segment<B>(B * e), information);
     out.factors.push_back({i, j, factor.T_from_to, factor.information});

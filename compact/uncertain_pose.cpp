@@ -1,7 +1,7 @@
 #include "terse/compact/uncertain_pose.h"
 
-#include <Eigen/Cholesky>
 #include <stdexcept>
+#include "terse/core/definite.h"
 
 namespace terse {
 
@@ -119,7 +119,7 @@ UncertainPose<Pose> Invert(const UncertainPose<Pose>& ab) {
 
 template <class Pose>
 UncertainPose<Pose> SeenFrom(PoseId first, const RelativePoseFactor<Pose>& factor) {
-  const typename Pose::Jacobian covariance = factor.information.llt().solve(Pose::Jacobian::Identity());
+  const typename Pose::Jacobian covariance = InverseOfDefinite<Pose::kDof>(factor.information);
   UncertainPose<Pose> measured{factor.T_from_to, (covariance + covariance.transpose()) / 2};
   if (first == factor.from) return measured;
   if (first == factor.to) return Invert(measured);

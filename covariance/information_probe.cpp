@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <cmath>
 
+#include "terse/core/definite.h"
 #include "terse/core/front_paths.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/random.h"
@@ -28,7 +29,7 @@ struct BlockWhitening {
 template <class Pose>
 BlockWhitening<Pose> MakeBlockWhitening(const typename Pose::Jacobian& information) {
   constexpr int kDim = Pose::kDim, kTurn = Pose::kDof - Pose::kDim;
-  const typename Pose::Jacobian covariance = information.llt().solve(Pose::Jacobian::Identity());
+  const typename Pose::Jacobian covariance = InverseOfDefinite<Pose::kDof>(information);
   const Matrix<kDim, kDim> t = covariance.template topLeftCorner<kDim, kDim>();
   const Matrix<kTurn, kTurn> r = covariance.template bottomRightCorner<kTurn, kTurn>();
   return {t.llt().matrixL().solve(Matrix<kDim, kDim>::Identity()),

@@ -5,6 +5,7 @@
 #include "terse/core/arrival.h"
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
+#include "terse/core/definite.h"
 #include "terse/covariance/short_cycles.h"
 
 namespace terse::internal {
@@ -50,7 +51,7 @@ double ShareOfAgreeingLoops(const InformationSample<Pose>& sample) {
     const Pose difference = loop.T_first_last.Inverse() * odometry.Way(loop.first, loop.last);
     const Jacobian Ad = difference.Inverse().Adjoint();
     const Jacobian sum = odometry.CovarianceOf(loop.first, loop.last) + Ad * loop.covariance * Ad.transpose();
-    agreeing += sum.llt().matrixL().solve(difference.Log()).squaredNorm() <= most;
+    agreeing += MahalanobisSquared<Pose::kDof>(sum, difference.Log()) <= most;
   }
   return static_cast<double>(agreeing) / static_cast<double>(sample.loops);
 }

@@ -1,12 +1,12 @@
 #include "terse/covariance/short_cycles.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <tuple>
 
 #include "terse/core/chi_square.h"
+#include "terse/core/definite.h"
 
 namespace terse::internal {
 namespace {
@@ -18,7 +18,7 @@ constexpr std::size_t kLeastCycles = 8;
 // The square of the error over the variance, per what half of right ones exceed.
 template <int N>
 double Square(const Eigen::Matrix<double, N, 1>& error, const Matrix<N, N>& covariance) {
-  return error.dot(covariance.llt().solve(error)) / ChiSquareQuantile(0.5, N);
+  return MahalanobisSquared<N>(covariance, error) / ChiSquareQuantile(0.5, N);
 }
 
 double RootOfMedian(std::vector<double>& squares) {

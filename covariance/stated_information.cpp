@@ -1,8 +1,8 @@
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
 #include "information_kinds.h"
+#include "terse/core/definite.h"
 #include "terse/covariance/information_scale.h"
 
 namespace terse {
@@ -51,7 +51,7 @@ struct Collected {
 
   void Add(const RelativePoseFactor<Pose>& f) {
     constexpr int kDim = Pose::kDim, kTurn = Pose::kDof - kDim;
-    const typename Pose::Jacobian covariance = f.information.llt().solve(Pose::Jacobian::Identity());
+    const typename Pose::Jacobian covariance = InverseOfDefinite<Pose::kDof>(f.information);
     translation_m.push_back(std::sqrt(covariance.template topLeftCorner<kDim, kDim>().trace() / kDim));
     rotation_rad.push_back(std::sqrt(covariance.template bottomRightCorner<kTurn, kTurn>().trace() / kTurn));
     lengths_m.push_back(f.T_from_to.Translation().norm());

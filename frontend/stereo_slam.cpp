@@ -1,19 +1,19 @@
 #include "terse/frontend/stereo_slam.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
 #include <string>
 
 #include "lap_timer.h"
+#include "terse/core/definite.h"
 #include "terse/core/log_message.h"
 
 namespace terse {
 namespace {
 
 RelativePoseFactor<SE3> Link(PoseId from, PoseId to, const SE3& T_from_to, const Matrix<6, 6>& covariance) {
-  const Matrix<6, 6> information = covariance.llt().solve(Matrix<6, 6>::Identity());
+  const Matrix<6, 6> information = InverseOfDefinite<6>(covariance);
   return {from, to, T_from_to, (information + information.transpose()) / 2};
 }
 

@@ -68,4 +68,8 @@ SE2::Jacobian SE2::LocalJacobian(const Tangent& r) {
   return J;
 }
 
+SE2::Jacobian SE2::RightJacobian(const Tangent& d) { return LeftJacobian(-d); }
+
+SE2::Jacobian SE2::RightJacobianInverse(const Tangent& d) { return LeftJacobianInverse(-d); }
+
 }  // namespace terse

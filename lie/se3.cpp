@@ -61,4 +61,10 @@ SE3::Jacobian SE3::LeftJacobianInverse(const Tangent& d) {
   return A;
 }
 
+SE3::Jacobian SE3::RightJacobian(const Tangent& d) { return LeftJacobian(-d); }
+
+SE3::Jacobian SE3::RightJacobianInverse(const Tangent& d) { return LeftJacobianInverse(-d); }
+
+double SE3::Angle() const { return rotation_.Log().norm(); }
+
 }  // namespace terse

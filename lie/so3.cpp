@@ -6,6 +6,8 @@
 
 namespace terse {
 
+SO3 SO3::FromMatrix(const Matrix<3, 3>& R) { return SO3(Quaternion(R)); }
+
 SO3 SO3::Exp(const Tangent& phi) {
   const double half = phi.norm() / 2;
   const double scale = internal::Quotient(1, half) / 2;
@@ -56,6 +58,16 @@ void SO3::Normalize() {
     n2 = q_.squaredNorm();
   }
   if (std::abs(n2 - 1) > kUnit) q_.coeffs() /= std::sqrt(n2);
+}
+
+SO3::Jacobian SO3::RightJacobian(const Tangent& phi) { return LeftJacobian(-phi); }
+
+SO3::Jacobian SO3::RightJacobianInverse(const Tangent& phi) { return LeftJacobianInverse(-phi); }
+
+Matrix<3, 3> Hat(const Vector<3>& v) {
+  Matrix<3, 3> V;
+  V << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
+  return V;
 }
 
 }  // namespace terse

@@ -27,7 +27,7 @@ struct Drive {
   std::vector<SE2> truth;
 };
 
-Drive MakeCity(std::uint64_t seed, int poses = 1200) {
+Drive MakeCity(std::uint64_t seed, int poses = 800) {
   Drive drive;
   GenerateOptions options;
   options.scene = Scene::kManhattan;

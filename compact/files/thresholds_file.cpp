@@ -1,10 +1,10 @@
 #include "terse/compact/thresholds_file.h"
 
-#include <Eigen/Cholesky>
 #include <cmath>
 
 #include "terse/compact/compact_json.h"
 #include "terse/compact/json_file.h"
+#include "terse/core/definite.h"
 #include "terse/core/error.h"
 
 namespace terse {
@@ -63,7 +63,7 @@ typename Pose::Jacobian LinkCovariance(const json& object, const std::string& pa
     out.row(i) = Eigen::Map<const Vector<Pose::kDof>>(row.data()).transpose();
   }
   const bool symmetric = (out - out.transpose()).norm() <= 1e-9 * out.norm();
-  if (!symmetric || out.llt().info() != Eigen::Success) throw KeyError(path, kKey, "is not positive definite");
+  if (!symmetric || !IsDefinite<Pose::kDof>(out)) throw KeyError(path, kKey, "is not positive definite");
   return out;
 }
 

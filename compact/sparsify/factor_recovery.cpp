@@ -8,6 +8,7 @@
 
 #include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
+#include "terse/core/definite.h"
 #include "terse/core/symmetric_eigen.h"
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"
@@ -186,7 +187,7 @@ bool Recovery<Pose>::StartFromTree() {
     if (from == to) continue;
     std::replace(part.begin(), part.end(), from, to);
     e.in_tree = e.is_used = true;
-    e.information += covariance(e).llt().solve(Jacobian::Identity());
+    e.information += InverseOfDefinite<B>(covariance(e));
   }
   lambda_ = MatrixXd::Zero(n_, n_);
   for (Pair<Pose>& e : pairs_) {
@@ -206,7 +207,7 @@ typename Recovery<Pose>::Block Recovery<Pose>::OthersShare(const Pair<Pose>& e, 
 // By how much a new factor here lowers the divergence, nats.
 template <class Pose>
 double Recovery<Pose>::Gain(const Pair<Pose>& e) const {
-  const Jacobian now = CovarianceOf(sigma_, e).llt().solve(Jacobian::Identity());
+  const Jacobian now = InverseOfDefinite<B>(CovarianceOf(sigma_, e));
   double gain = 0;
   const Tangent shares = SymmetricEigenvalues<Pose::kDof>(OthersShare(e, now));
   for (const double share : shares) {
@@ -220,7 +221,7 @@ double Recovery<Pose>::Gain(const Pair<Pose>& e) const {
 template <class Pose>
 void Recovery<Pose>::Improve(Pair<Pose>& e) {
   const MatrixXd W = Rows(sigma_, e);
-  const Jacobian C = Columns(W, e), now = C.llt().solve(Jacobian::Identity());
+  const Jacobian C = Columns(W, e), now = InverseOfDefinite<B>(C);
   const auto others = DecomposeSymmetric<Pose::kDof>(OthersShare(e, now));
   const Tangent lacking = Tangent::Ones() - others.values;
   const Tangent own = lacking.cwiseMax(kFloor);

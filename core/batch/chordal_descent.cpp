@@ -1,12 +1,12 @@
 #include "batch/chordal_descent.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/QR>
 #include <cmath>
 #include <limits>
 
 #include "terse/core/at.h"
 #include "terse/core/block_cholesky.h"
+#include "terse/core/definite.h"
 #include "terse/core/error.h"
 #include "terse/core/gauge.h"
 
@@ -69,7 +69,7 @@ std::vector<ChordalTerm<Pose>> ChordalTerms(const PoseGraph<Pose>& graph) {
   for (const auto& node : graph.Factors()) {
     const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
     if (edge == nullptr) continue;
-    const typename Pose::Jacobian covariance = edge->information.llt().solve(Pose::Jacobian::Identity());
+    const typename Pose::Jacobian covariance = InverseOfDefinite<Pose::kDof>(edge->information);
     ChordalTerm<Pose> term{graph.IndexOf(edge->from),
                            graph.IndexOf(edge->to),
                            RotationOf(edge->T_from_to),

@@ -25,6 +25,7 @@
 #include <vector>
 
 #include "batch/chordal_descent.h"
+#include "terse/core/definite.h"
 #include "terse/core/residual.h"
 
 namespace terse::internal {
@@ -63,7 +64,7 @@ Block<D> ProjectToRotation(const Block<D>& M) {
 template <int N>
 double ChordalWeight(const Matrix<N, N>& information) {
   constexpr int kAngles = N == 6 ? 3 : 1;
-  const Block<N> Sigma = Block<N>(information).llt().solve(Block<N>::Identity());
+  const Block<N> Sigma = InverseOfDefinite<N>(information);
   return kAngles / (2 * Sigma.template bottomRightCorner<kAngles, kAngles>().trace());
 }
 

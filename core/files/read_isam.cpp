@@ -2,9 +2,8 @@
 // x y z roll pitch yaw; without the 21 entries R is the identity. iSAM itself keeps the angles as yaw pitch roll and
 // warns that its reordering is wrong for entries off the diagonal; here R is in the order of the fields.
 
-#include <Eigen/Cholesky>
-
 #include "files/read_graph.h"
+#include "terse/core/definite.h"
 
 namespace terse {
 namespace {
@@ -53,7 +52,7 @@ bool LooksLikeIsam(const std::string& path, const std::vector<GraphLine>& lines)
     ExpectFields(fields, *line.layout);
     if (!(SquareRoot<Pose>(fields).diagonal().array() > 0).all()) ++isam_misfits;
     const Eigen::Matrix<double, Pose::kDof, Pose::kDof> information = ToroInformation<Pose>(fields);
-    if (information.llt().info() != Eigen::Success) ++toro_misfits;
+    if (!IsDefinite(information)) ++toro_misfits;
   }
   return isam_misfits <= toro_misfits;
 }

@@ -1,12 +1,12 @@
 #include "terse/core/cycle_test.h"
 
-#include <Eigen/Cholesky>
+#include "terse/core/definite.h"
 
 namespace terse::internal {
 
 template <class Pose>
 void CycleTest<Pose>::Extend(const RelativePoseFactor<Pose>& odometry) {
-  const Covariance covariance = odometry.information.llt().solve(Covariance::Identity());
+  const Covariance covariance = InverseOfDefinite<Pose::kDof>(odometry.information);
   const bool knows_from = links_.count(odometry.from) != 0, knows_to = links_.count(odometry.to) != 0;
   if (knows_from == knows_to ? odometry.from < odometry.to : knows_from) {
     Append(odometry.from, odometry.to, odometry.T_from_to, covariance);
@@ -55,16 +55,16 @@ std::optional<double> CycleTest<Pose>::Innovation(PoseId from, PoseId to, const 
   const Covariance Ad = b->second.T_start_pose.Inverse().Adjoint();
   const double sign = a->second.arrival < b->second.arrival ? 1 : -1;
   const Covariance between = sign * (b->second.covariance - a->second.covariance);
-  const Eigen::LLT<Covariance> llt(Ad * between * Ad.transpose() + covariance);
-  if (llt.info() != Eigen::Success) return std::nullopt;
+  const Covariance sum = Ad * between * Ad.transpose() + covariance;
+  if (!IsDefinite<Pose::kDof>(sum)) return std::nullopt;
   // T Exp(d), d normal, holds for large d too: compared in the exponential chart.
   const typename Pose::Tangent error = ((a->second.T_start_pose * T_from_to).Inverse() * b->second.T_start_pose).Log();
-  return error.dot(llt.solve(error));
+  return MahalanobisSquared<Pose::kDof>(sum, error);
 }
 
 template <class Pose>
 std::optional<double> CycleTest<Pose>::Innovation(const RelativePoseFactor<Pose>& loop) const {
-  return Innovation(loop.from, loop.to, loop.T_from_to, loop.information.llt().solve(Covariance::Identity()));
+  return Innovation(loop.from, loop.to, loop.T_from_to, InverseOfDefinite<Pose::kDof>(loop.information));
 }
 
 template class CycleTest<SE2>;

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "terse/core/at.h"
+#include "terse/core/definite.h"
 
 namespace terse::internal {
 namespace {
@@ -24,7 +25,7 @@ CovarianceOf<Pose> Turned(const Pose& T, const CovarianceOf<Pose>& covariance) {
 template <class Pose>
 ForwardEdge<Pose> Forward(std::size_t number, int from, int to, const RelativePoseFactor<Pose>& factor) {
   const Pose& Z = factor.T_from_to;
-  const CovarianceOf<Pose> covariance = factor.information.llt().solve(CovarianceOf<Pose>::Identity());
+  const CovarianceOf<Pose> covariance = InverseOfDefinite<Pose::kDof>(factor.information);
   if (from < to) return {number, from, to, Z, covariance};
   return {number, to, from, Z.Inverse(), Turned(Z, covariance)};
 }

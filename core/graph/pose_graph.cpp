@@ -1,6 +1,5 @@
 #include "terse/core/pose_graph.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -8,6 +7,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "terse/core/definite.h"
 #include "terse/core/pose_name.h"
 #include "terse/core/residual.h"
 #include "terse/core/symmetric_eigen.h"
@@ -35,7 +35,7 @@ std::string FindDefectIn(const std::string& name, const Measurement& measurement
     return name + ": the information is not symmetric";
   }
   const Eigen::Matrix<double, N, N> aligned = information;
-  if (aligned.llt().info() != Eigen::Success) {
+  if (!IsDefinite(aligned)) {
     std::ostringstream smallest;
     smallest.imbue(std::locale::classic());
     smallest << DecomposeSymmetric(aligned).values[0];

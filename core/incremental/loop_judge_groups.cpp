@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "incremental/loop_judge.h"
+#include "terse/core/definite.h"
 #include "terse/core/front_paths.h"
 
 namespace terse::internal {
@@ -32,7 +33,7 @@ typename LoopJudge<Pose>::Camps LoopJudge<Pose>::AddContestants(Loops& contest, 
   using Ranked = std::vector<std::pair<double, FactorId>>;
   const Loop& loop = contest[0];
   const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(loop.z, loop.z);
-  const std::vector<double> x = SolveBackward<B>(map.Cholesky().Tree(), loop.z, S.llt().solve(loop.residual));
+  const std::vector<double> x = SolveBackward<B>(map.Cholesky().Tree(), loop.z, SolveDefinite<B>(S, loop.residual));
   const auto moved = [&](const LinearFactor<B>& f) { return ResidualChange(f, x); };
   Ranked against, along;
   int mates = 0;  // of its group, or at one with it

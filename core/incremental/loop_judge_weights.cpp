@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "incremental/loop_judge.h"
+#include "terse/core/definite.h"
 
 namespace terse::internal {
 namespace {
@@ -30,10 +31,10 @@ double LoopJudge<Pose>::WeightOnArrival(Loop& loop, double tolerated, const Map&
   if (weight == 1) return weight;
   loop.z = SolveForward(map.Cholesky().Tree(), loop.linear);
   const Matrix<B, B> P = Gram<B>(loop.z, loop.z), I = Matrix<B, B>::Identity();
-  weight = RobustWeight(kernel, loop.residual.dot((I + P).llt().solve(loop.residual)), Width());
+  weight = RobustWeight(kernel, MahalanobisSquared<B>(I + P, loop.residual), Width());
   Vector<B> r = loop.residual;
   for (int k = 0; k < kMostWeightings; ++k) {
-    r = (I + weight * P).llt().solve(loop.residual);
+    r = SolveDefinite<B>(I + weight * P, loop.residual);
     weight = RobustWeight(kernel, r.squaredNorm(), Width());
   }
   return weight * loop.residual.dot(loop.residual - r) > tolerated ? weight : 0;

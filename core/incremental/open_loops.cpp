@@ -7,6 +7,7 @@
 
 #include "incremental/judged_loop.h"
 #include "terse/core/at.h"
+#include "terse/core/definite.h"
 #include "terse/core/log_message.h"
 #include "terse/core/loop_contest.h"
 #include "terse/core/require_optimum.h"
@@ -41,7 +42,7 @@ struct LoopOut {
   }
   double Innovation() const {
     const Matrix<B, B> S = Matrix<B, B>::Identity() + Gram<B>(z, z);
-    return residual.dot(S.llt().solve(residual));
+    return MahalanobisSquared<B>(S, residual);
   }
 };
 

@@ -25,7 +25,8 @@ struct LoopSupport {
   // contradicts half of the others, whatever the scale of the information; or more than one in three, where odometry
   // may know too little to contradict any.
   bool are_suspect = false;
-  // Median squared error by odometry alone, of the unsupported over that of the others; 0 where there is none of either.
+  // Median squared error by odometry alone, of the unsupported over that of the others; 0 where there is none of
+  // either.
   double alone_over_others = 0;
   // The others can do without them: there is one for every four poses.
   bool others_are_many = false;

@@ -32,25 +32,21 @@ class SE2 {
   static SE2 Exp(const Tangent& d);
   Tangent Log() const;
 
-  SE2 operator*(const SE2& other) const {
-    return SE2(translation_ + Rotation() * other.translation_, theta_ + other.theta_);
-  }
-  Position operator*(const Position& p) const { return Rotation() * p + translation_; }
+  SE2 operator*(const SE2& other) const { return SE2(*this * other.translation_, theta_ + other.theta_); }
+  Position operator*(const Position& p) const { return Moved(p.x(), p.y()); }
   // Inverse() * other.
-  SE2 Between(const SE2& other) const {
-    return SE2(Rotation().transpose() * (other.translation_ - translation_), other.theta_ - theta_);
-  }
-  SE2 Inverse() const { return SE2(-(Rotation().transpose() * translation_), -theta_); }
+  SE2 Between(const SE2& other) const { return SE2(InBody(other.translation_), other.theta_ - theta_); }
+  SE2 Inverse() const { return SE2(InBody(Position(0, 0)), -theta_); }
   Jacobian Adjoint() const;
 
   static Jacobian LeftJacobian(const Tangent& d);
   static Jacobian LeftJacobianInverse(const Tangent& d);
-  static Jacobian RightJacobian(const Tangent& d) { return LeftJacobian(-d); }
-  static Jacobian RightJacobianInverse(const Tangent& d) { return LeftJacobianInverse(-d); }
+  static Jacobian RightJacobian(const Tangent& d);
+  static Jacobian RightJacobianInverse(const Tangent& d);
 
-  SE2 Retract(const Tangent& d) const { return SE2(translation_ + Rotation() * d.head<2>(), theta_ + d[2]); }
+  SE2 Retract(const Tangent& d) const { return SE2(Moved(d[0], d[1]), theta_ + d[2]); }
   Tangent Local(const SE2& other) const {
-    const Position p = Rotation().transpose() * (other.translation_ - translation_);
+    const Position p = InBody(other.translation_);
     return Tangent(p.x(), p.y(), WrapAngle(other.theta_ - theta_));
   }
   // d [x y theta](E) / d e for E <- E * SE2(e), at [x y theta](E) = r.
@@ -58,7 +54,8 @@ class SE2 {
 
   Matrix<2, 2> Rotation() const {
     Matrix<2, 2> R;
-    R << cosine_, -sine_, sine_, cosine_;
+    R(0, 0) = R(1, 1) = cosine_;
+    R(0, 1) = -(R(1, 0) = sine_);
     return R;
   }
   const Position& Translation() const { return translation_; }
@@ -68,7 +65,16 @@ class SE2 {
   void Normalize() {}  // the angle always is
 
  private:
-  Position translation_ = Position::Zero();
+  // By scalars: products of matrices would be instantiated anew in each source that includes this.
+  Position Moved(double x, double y) const {
+    return Position((cosine_ * x - sine_ * y) + translation_.x(), (sine_ * x + cosine_ * y) + translation_.y());
+  }
+  Position InBody(const Position& p) const {
+    const double x = p.x() - translation_.x(), y = p.y() - translation_.y();
+    return Position(cosine_ * x + sine_ * y, cosine_ * y - sine_ * x);
+  }
+
+  Position translation_{0, 0};
   double theta_ = 0, cosine_ = 1, sine_ = 0;
 };
 

@@ -17,7 +17,7 @@ class SE3 {
   using Tangent = Vector<6>;
   using Jacobian = Matrix<6, 6>;
 
-  SE3() : translation_(Position::Zero()) {}
+  SE3() : translation_(0, 0, 0) {}
   SE3(const SO3& rotation, const Position& translation) : rotation_(rotation), translation_(translation) {}
 
   static SE3 Exp(const Tangent& d);
@@ -41,8 +41,8 @@ class SE3 {
 
   static Jacobian LeftJacobian(const Tangent& d);
   static Jacobian LeftJacobianInverse(const Tangent& d);
-  static Jacobian RightJacobian(const Tangent& d) { return LeftJacobian(-d); }
-  static Jacobian RightJacobianInverse(const Tangent& d) { return LeftJacobianInverse(-d); }
+  static Jacobian RightJacobian(const Tangent& d);
+  static Jacobian RightJacobianInverse(const Tangent& d);
 
   // The chart in which the optimiser moves a pose and measures a residual: T Exp(d), and its inverse.
   SE3 Retract(const Tangent& d) const { return *this * Exp(d); }
@@ -53,7 +53,7 @@ class SE3 {
   const SO3& Rotation() const { return rotation_; }
   const Position& Translation() const { return translation_; }
   // Rotation angle in [0, pi] radians.
-  double Angle() const { return rotation_.Log().norm(); }
+  double Angle() const;
   void Normalize() { rotation_.Normalize(); }
 
  private:

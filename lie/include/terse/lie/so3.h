@@ -18,7 +18,7 @@ class SO3 {
   SO3() : q_(1, 0, 0, 0) {}
   // q need not be unit: it is normalised unless it already is to the last bit.
   explicit SO3(const Quaternion& q) : q_(q) { Normalize(); }
-  static SO3 FromMatrix(const Matrix<3, 3>& R) { return SO3(Quaternion(R)); }
+  static SO3 FromMatrix(const Matrix<3, 3>& R);
 
   static SO3 Exp(const Tangent& phi);
   // |Log()| is in [0, pi].
@@ -26,9 +26,11 @@ class SO3 {
 
   SO3 operator*(const SO3& other) const { return SO3(q_ * other.q_); }
   Vector<3> operator*(const Vector<3>& p) const {
-    const Vector<3> u = q_.vec();
-    const Vector<3> t = 2 * u.cross(p);
-    return p + q_.w() * t + u.cross(t);
+    // By scalars: expressions would be instantiated anew in each source that includes this.
+    const double x = 2 * (q_.y() * p.z() - q_.z() * p.y()), y = 2 * (q_.z() * p.x() - q_.x() * p.z()),
+                 z = 2 * (q_.x() * p.y() - q_.y() * p.x());
+    return Vector<3>(p.x() + q_.w() * x + (q_.y() * z - q_.z() * y), p.y() + q_.w() * y + (q_.z() * x - q_.x() * z),
+                     p.z() + q_.w() * z + (q_.x() * y - q_.y() * x));
   }
   SO3 Inverse() const { return SO3(q_.conjugate()); }
   Matrix<3, 3> Rotation() const { return q_.toRotationMatrix(); }
@@ -36,8 +38,8 @@ class SO3 {
 
   static Jacobian LeftJacobian(const Tangent& phi);
   static Jacobian LeftJacobianInverse(const Tangent& phi);
-  static Jacobian RightJacobian(const Tangent& phi) { return LeftJacobian(-phi); }
-  static Jacobian RightJacobianInverse(const Tangent& phi) { return LeftJacobianInverse(-phi); }
+  static Jacobian RightJacobian(const Tangent& phi);
+  static Jacobian RightJacobianInverse(const Tangent& phi);
 
   const Quaternion& Unit() const { return q_; }
   // Restores |q| = 1. Idempotent: a quaternion that is unit to rounding is left as it is.
@@ -48,10 +50,6 @@ class SO3 {
 };
 
 // [v]_x, so that Hat(v) w = v x w.
-inline Matrix<3, 3> Hat(const Vector<3>& v) {
-  Matrix<3, 3> V;
-  V << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
-  return V;
-}
+Matrix<3, 3> Hat(const Vector<3>& v);
 
 }  // namespace terse

@@ -1,0 +1,21 @@
+#pragma once
+// Symmetric positive definite matrices, by Cholesky, compiled once for each size: Eigen's takes seconds to compile. N:
+// 1, 2, 3 or 6. Only the lower triangle of a matrix is read; of one that is not definite all but IsDefinite says
+// nothing useful.
+
+#include <Eigen/Core>
+
+namespace terse {
+
+template <int N>
+bool IsDefinite(const Eigen::Matrix<double, N, N>& M);
+template <int N>
+Eigen::Matrix<double, N, N> InverseOfDefinite(const Eigen::Matrix<double, N, N>& M);
+// M^-1 b.
+template <int N>
+Eigen::Matrix<double, N, 1> SolveDefinite(const Eigen::Matrix<double, N, N>& M, const Eigen::Matrix<double, N, 1>& b);
+// error^T covariance^-1 error.
+template <int N>
+double MahalanobisSquared(const Eigen::Matrix<double, N, N>& covariance, const Eigen::Matrix<double, N, 1>& error);
+
+}  // namespace terse
