@@ -260,6 +260,19 @@ TEST(InformationScale, ManyWrongLoopsAreNotBadInformation) {
   ExpectWrongLoopsAreFound<SE3>(Scene::kTorus, 4);
 }
 
+// Wrong loops that no other bears out are left out before anything is solved for.
+TEST(InformationScale, IsToldWithoutLoopsThatNoOtherBearsOut) {
+  for (const std::uint64_t seed : testing::Seeds(41, 43)) {
+    const auto clean = Simulated<SE2>(Scene::kManhattan, 500, seed);
+    const auto with = AddWrongLoops(clean, SolveBatch(clean).T_world_body, 300.0 / 7, seed, OutlierKind::kRandom);
+    const auto found = CalibrateInformation(with.graph);
+    EXPECT_EQ(found.verdict, InformationVerdict::kConsistent) << found.message;
+    EXPECT_NE(found.message.find("loops that no other bears out"), std::string::npos) << found.message;
+    EXPECT_GT(found.estimate.agreeing_loops, 0.9) << seed;
+    EXPECT_EQ(CalibrateInformation(clean).message.find("no other bears out"), std::string::npos) << seed;
+  }
+}
+
 // A drive that is back at known places late: of its beginning, which is all that is looked at, every loop is wrong. The
 // odometry would have to be 50 times as bad to explain them. As kitti00 with three wrong loops in ten.
 template <class Pose>
