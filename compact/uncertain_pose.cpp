@@ -1,6 +1,7 @@
 #include "terse/compact/uncertain_pose.h"
 
 #include <stdexcept>
+
 #include "terse/core/definite.h"
 
 namespace terse {

@@ -185,12 +185,12 @@ const char* Name(InformationVerdict verdict) {
 template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options) {
   const internal::LoopSupport support = internal::FindSupport(graph);
+  if (support.unsupported.empty() || !support.others_are_many) return CalibrateByAll(graph, options);
   const PoseGraph<Pose> others = WithoutFactors(graph, support.unsupported);
-  if (support.unsupported.empty() || !support.others_are_many || ConnectedComponents(others).size() > 1) {
-    return CalibrateByAll(graph, options);
-  }
+  if (ConnectedComponents(others).size() > 1) return CalibrateByAll(graph, options);
   const auto by_others = [&] {
     InformationCalibration out = CalibrateByAll(others, options);
+    out.stated = DescribeInformation(graph);
     out.message += ", without " + std::to_string(support.unsupported.size()) + " loops that no other bears out";
     return out;
   };

@@ -37,7 +37,8 @@ constexpr double kTrueLoop = 0.9999;  // share of true loops within the width of
 constexpr int kStepsTogether = 2;
 constexpr int kFirstIterations = 60;  // of truncated least squares
 constexpr double kTolerance = 1e-4;   // relative, of chi2
-// Scales that moved by less keep the loops that are in as a start, and are one of those to try; logarithm.
+// Logarithm. Scales that moved by less keep the loops that are in as a start; those that differ by less from the best
+// ones are not tried besides.
 constexpr double kMovesLittle = 0.3;
 // Standard deviations that are stated too small by less may be left.
 constexpr double kMayBeLeft = 2;
@@ -62,7 +63,7 @@ template <class Value>
 using ByGroup = std::array<Value, kGroups>;
 
 template <class Pose>
-double CostOf(const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
+double Chi2Of(const PoseGraph<Pose>& graph, const std::vector<Pose>& values) {
   double cost = 0;
   for (const auto& node : graph.Factors()) {
     const FactorPoses ends = PosesOf(node.factor);
@@ -80,7 +81,7 @@ std::vector<Pose> StartOf(const PoseGraph<Pose>& graph) {
   std::vector<Pose> composed = ComputeInitialValues(graph, InitialValues::kCompose);
   try {
     std::vector<Pose> chordal = ComputeInitialValues(graph, InitialValues::kChordal);
-    if (CostOf(graph, chordal) < CostOf(graph, composed)) return chordal;
+    if (Chi2Of(graph, chordal) < Chi2Of(graph, composed)) return chordal;
   } catch (const NumericalError&) {  // singular to rounding: the composed values will do
   }
   return composed;
@@ -196,26 +197,27 @@ class Estimator {
     double cost = 0;
     bool is_bound = false;
   };
+  // Solves for it where the bound does not decide.
   bool IsLower(double cost, const Attempt& best, Lowest& lowest) const {
     if (lowest.is_bound && cost >= lowest.cost) lowest = {CostOf(best), false};
     return cost < lowest.cost;
   }
 
-  // Whether the attempt from there is more probable than the best one. Of a few loops, some of them wrong, residuals
-  // may lead away from scales that were right, or take one of translation and rotation to its floor and leave all to
-  // the other: where that is less probable, the scales that it began with are better.
-  bool Try(const KindScale& start, Attempt& best, Lowest& lowest) {
+  // Takes the attempt from there if it is more probable than the best one. Of a few loops, some of them wrong,
+  // residuals may take one of translation and rotation to its floor and leave all to the other: where that is less
+  // probable, the scales that it began with are better.
+  void Try(const KindScale& start, Attempt& best, Lowest& lowest) {
     constexpr double kNone = std::numeric_limits<double>::infinity();
     const ByGroup<double> log_start = LogScales(start);
     const bool is_below = IsBelowFloor(start);
     told_apart_.reset();
     double at_start = kNone;
     if (!is_below) {
-      if (best.is_told_apart && AreNear(log_start, best.log_scale)) return false;
-      if (!IsLower(LeastCost(log_start), best, lowest)) return false;
+      if (best.is_told_apart && AreNear(log_start, best.log_scale)) return;
+      if (!IsLower(LeastCost(log_start), best, lowest)) return;
       told_apart_ = SolveAt(log_start);
       at_start = CostOf(log_start, *told_apart_);
-      if (!IsLower(at_start, best, lowest)) return false;
+      if (!IsLower(at_start, best, lowest)) return;
     }
     Attempt other = AttemptFrom(start);
     const auto is_of_copies = [](const Found& f) { return f.estimate.at_floor; };
@@ -226,16 +228,16 @@ class Estimator {
       cost = at_start;
       other.out.failure.clear();
       other.log_scale = log_start;
+      other.is_told_apart = true;
       for (int g = 0; g < kGroups; ++g) {
         other.found[At(g)].estimate.sigma_factor = std::exp(other.log_scale[At(g)]);
         other.found[At(g)].estimate.at_floor = false;
       }
     }
-    if (cost == kNone || !IsLower(cost, best, lowest)) return false;
+    if (cost == kNone || !IsLower(cost, best, lowest)) return;
     lowest = {cost, false};
     other.out.normalized_chi2 = best.out.normalized_chi2;
     best = std::move(other);
-    return true;
   }
 
   static ByGroup<double> LogScales(const KindScale& scale) {
@@ -489,8 +491,8 @@ class Estimator {
   const EstimateOptions options_;
   const StatedInformation stated_;
   InformationSample<Pose> sample_;
-  std::vector<Pose> start_, values_;             // of an attempt
-  std::optional<BatchResult<Pose>> told_apart_;  // from there at the scales that are tried, if that is known
+  std::vector<Pose> start_;
+  std::optional<BatchResult<Pose>> told_apart_;  // from start_ at the scales that are tried, if that is known
   ByGroup<double> floor_{}, log_scale_{};
   ByGroup<Found> found_{};
   int steps_suspicious_ = 0;

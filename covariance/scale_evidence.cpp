@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include "terse/core/at.h"
 #include "terse/core/residual.h"
@@ -76,15 +77,19 @@ template <class Pose>
 double LeastCostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<char>& is_loop) {
   const double log_range = LogRange(ForwardEdges(terms, is_loop));
   double cost = -Pose::kDof * kLogTwoPi / 2;
-  int poses = 1, steps = 0;
+  std::vector<int> steps_to(1);
   for (std::size_t k = 0; k < terms.size(); ++k) {
-    poses = std::max({poses, terms[k].first + 1, terms[k].second + 1});
-    steps += !is_loop[k];
-    if (!is_loop[k]) continue;
+    const auto later = static_cast<std::size_t>(std::max(terms[k].first, terms[k].second));
+    if (later >= steps_to.size()) steps_to.resize(later + 1);
+    if (!is_loop[k]) {
+      ++steps_to[later];
+      continue;
+    }
     const Eigen::LLT<typename Pose::Jacobian> llt(terms[k].factor.information);
     cost += std::min(log_range, Pose::kDof * kLogTwoPi / 2 - HalfLogDeterminant<Pose>(llt));
   }
-  return steps < poses ? cost : -std::numeric_limits<double>::infinity();
+  const bool is_chain = std::all_of(steps_to.begin() + 1, steps_to.end(), [](int steps) { return steps == 1; });
+  return is_chain ? cost : -std::numeric_limits<double>::infinity();
 }
 
 template double CostOfScales(const std::vector<ProbeTerm<SE2>>&, const std::vector<char>&, const BatchResult<SE2>&);

@@ -453,6 +453,7 @@ TEST(InformationScale, ManyWrongLoopsDoNotMakeItTooCertain) {
   const auto expect_left_alone = [](const auto& graph) {
     const auto found = CalibrateInformation(graph);
     EXPECT_TRUE(found.scale.IsOne()) << found.message;
+    // Without those that no other bears out there is nothing to explain.
     const double agreeing = EstimateInformationScale(graph).agreeing_loops;
     EXPECT_GT(agreeing, 0.5);
     EXPECT_LT(agreeing, 0.9);

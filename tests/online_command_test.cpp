@@ -657,7 +657,7 @@ TEST_F(OnlineCommand, RequestsThatMakeNoSenseAreNamed) {
 // Killed again and again, it ends as if it had never been. TERSE_KILLS: how often.
 TEST_F(OnlineCommand, SurvivesKills) {
   const char* const asked = std::getenv("TERSE_KILLS");
-  const int kills = asked != nullptr ? std::atoi(asked) : kSlowBuild ? 12 : 40;
+  const int kills = asked != nullptr ? std::atoi(asked) : terse::kSlowBuild ? 12 : 40;
   const auto lines = Measurements(110 + kills);
   std::map<std::string, json> expected;
   for (const json& answer : Answers(Join(lines, 0, lines.size()), kOptions + "--output whole")) {
@@ -699,7 +699,7 @@ TEST_F(OnlineCommand, SurvivesKills) {
 // The journal of a run without an end begins anew, beside a snapshot; killed at any moment the run goes on from the
 // two.
 TEST_F(OnlineCommand, SurvivesKillsWhileTheJournalBeginsAnew) {
-  constexpr int kKills = kSlowBuild ? 16 : 30;
+  constexpr int kKills = terse::kSlowBuild ? 16 : 30;
   const auto lines = Measurements(150);
   std::map<std::string, json> expected;
   for (const json& answer : Answers(Join(lines, 0, lines.size()), kOptions + "--output whole")) {
@@ -743,7 +743,7 @@ TEST_F(OnlineCommand, SurvivesKillsWhileTheJournalBeginsAnew) {
     if (const std::size_t at = journal.find("\"snapshot\""); at != std::string::npos)
       snapshots.insert(journal.substr(at, journal.find('}', at) - at));
   }
-  EXPECT_GT(snapshots.size(), kSlowBuild ? 1u : 3u);
+  EXPECT_GT(snapshots.size(), terse::kSlowBuild ? 1u : 3u);
   Child child(folder_.string(), arguments + " --output pieces");
   const json resumed = child.Receive();
   child.Send(Join(lines, resumed["lines"], lines.size()));

@@ -141,11 +141,20 @@ TYPED_TEST(ScaleEvidence, NoChoiceOfWrongLoopsCostsLess) {
     BatchResult<Pose> solved = SolveBatch(GraphOf(right.terms, right.truth.size()), right.truth, BatchOptions());
     solved.weights.assign(right.terms.size(), 1);
     EXPECT_GT(above, CostOfScales(right.terms, right.is_loop, solved)) << seed;
-    auto twice = passes.terms;
+    // Nothing where odometry is no chain: a step there twice, one missing, and both.
+    const double nothing = -std::numeric_limits<double>::infinity();
+    auto twice = passes.terms, missing = passes.terms;
     twice.push_back(twice.front());
     std::vector<char> is_loop = passes.is_loop;
     is_loop.push_back(false);
-    EXPECT_EQ(LeastCostOfScales(twice, is_loop), -std::numeric_limits<double>::infinity());
+    EXPECT_EQ(LeastCostOfScales(twice, is_loop), nothing);
+    missing.erase(missing.begin() + 5);
+    is_loop = passes.is_loop;
+    is_loop.erase(is_loop.begin() + 5);
+    EXPECT_EQ(LeastCostOfScales(missing, is_loop), nothing);
+    missing.push_back(missing.front());
+    is_loop.push_back(false);
+    EXPECT_EQ(LeastCostOfScales(missing, is_loop), nothing);
   }
 }
 

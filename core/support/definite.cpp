@@ -21,7 +21,7 @@ Eigen::Matrix<double, N, 1> SolveDefinite(const Eigen::Matrix<double, N, N>& M, 
 
 template <int N>
 double MahalanobisSquared(const Eigen::Matrix<double, N, N>& covariance, const Eigen::Matrix<double, N, 1>& error) {
-  return error.dot(SolveDefinite<N>(covariance, error));
+  return covariance.llt().matrixL().solve(error).squaredNorm();
 }
 
 #define TERSE_INSTANTIATE(N)                                                                     \

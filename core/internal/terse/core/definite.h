@@ -1,7 +1,7 @@
 #pragma once
 // Symmetric positive definite matrices, by Cholesky, compiled once for each size: Eigen's takes seconds to compile. N:
-// 1, 2, 3 or 6. Only the lower triangle of a matrix is read; of one that is not definite all but IsDefinite says
-// nothing useful.
+// 1, 2, 3 or 6. Only the lower triangle of a matrix is read. NaN passes for definite; of what is not, the others say
+// nothing.
 
 #include <Eigen/Core>
 

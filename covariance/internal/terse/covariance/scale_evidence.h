@@ -18,7 +18,7 @@ double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector
                     const BatchResult<Pose>& solved);
 
 // No choice of wrong loops and no residuals make it less: a loop is foretold no better than it measures. Nothing
-// (-infinity) is known where odometry goes from pose to pose more than once. O(E).
+// (-infinity) is known unless odometry, what is no loop, goes from each pose to the next exactly once. O(E).
 template <class Pose>
 double LeastCostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<char>& is_loop);
 

@@ -54,8 +54,10 @@ class SE2 {
 
   Matrix<2, 2> Rotation() const {
     Matrix<2, 2> R;
-    R(0, 0) = R(1, 1) = cosine_;
-    R(0, 1) = -(R(1, 0) = sine_);
+    R(0, 0) = cosine_;
+    R(0, 1) = -sine_;
+    R(1, 0) = sine_;
+    R(1, 1) = cosine_;
     return R;
   }
   const Position& Translation() const { return translation_; }
