@@ -146,9 +146,9 @@ struct InformationCalibration {
 // residuals cannot tell, a tree's for example, stays as it is. The residuals are those of a beginning
 // (EstimateOptions), and where a drive is back at known places late, all loops of that may be wrong ones. So where
 // standard deviations come out three times smaller without the loops that no other bears out (Mangelson et al., ICRA
-// 2018), and there is one of the others for every four poses, those count. Where odometry contradicts such loops far more
-// than it contradicts the others, and those agree with the information as stated, these alone were asked: `estimate` is
-// of the graph without them, and `message` says how many they are.
+// 2018), and there is one of the others for every four poses, those count. Where odometry contradicts such loops far
+// more than it contradicts the others, and those agree with the information as stated, these alone were asked:
+// `estimate` is of the graph without them, and `message` says how many they are.
 template <class Pose>
 InformationCalibration CalibrateInformation(const PoseGraph<Pose>& graph, const EstimateOptions& options = {});
 
