@@ -189,7 +189,7 @@ TEST_F(OnlineMaps, AreMergedAsMergeDoesIt) {
   EXPECT_EQ(joined["links_accepted"], right_);
   EXPECT_EQ(stats["links_accepted"], right_);
   EXPECT_EQ(joined["poses_kept"], stats["poses_kept"]);
-  for (int k = 0; k < 3; ++k) {
+  for (std::size_t k = 0; k < 3; ++k) {
     EXPECT_NEAR(joined["T_run_map"][k].get<double>(), stats["maps"][1]["T_joint_map"][k].get<double>(), 1e-6);
     EXPECT_NEAR(joined["sigma_of_first_pose"][k].get<double>(),
                 stats["maps"][1]["sigma_of_first_pose"][k].get<double>(), 1e-6);
