@@ -27,7 +27,7 @@ struct Drive {
   std::vector<SE2> truth;
 };
 
-Drive MakeCity(std::uint64_t seed, int poses = 800) {
+Drive MakeCity(std::uint64_t seed, int poses = 1200) {
   Drive drive;
   GenerateOptions options;
   options.scene = Scene::kManhattan;
@@ -62,10 +62,13 @@ double ErrorWith(const Drive& drive, double percent, OutlierKind kind, std::uint
 // One wrong loop in ten, and three.
 TEST(CompactWrongLoops, TheMapOfACityStays) {
   for (const std::uint64_t seed : testing::Seeds(501, 502)) {
-    const Drive drive = MakeCity(seed);
-    const double clean = ErrorOf(drive.graph, drive.truth);
+    const Drive large = MakeCity(seed), small = MakeCity(seed, 800);
     for (const OutlierKind kind :
          {OutlierKind::kRandom, OutlierKind::kGrouped, OutlierKind::kAliased, OutlierKind::kLocal}) {
+      // Those that agree with each other take ten times as long.
+      const bool agree = kind == OutlierKind::kGrouped || kind == OutlierKind::kAliased;
+      const Drive& drive = agree ? small : large;
+      const double clean = ErrorOf(drive.graph, drive.truth);
       const double few = ErrorWith(drive, 100.0 / 9, kind, seed), many = ErrorWith(drive, 300.0 / 7, kind, seed);
       std::printf("seed %ld, kind %d: clean %.3f m, with 10 %% wrong %.3f m, 30 %% %.3f m\n", static_cast<long>(seed),
                   static_cast<int>(kind), clean, few, many);

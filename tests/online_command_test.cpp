@@ -699,7 +699,7 @@ TEST_F(OnlineCommand, SurvivesKills) {
 // The journal of a run without an end begins anew, beside a snapshot; killed at any moment the run goes on from the
 // two.
 TEST_F(OnlineCommand, SurvivesKillsWhileTheJournalBeginsAnew) {
-  constexpr int kKills = terse::kSlowBuild ? 16 : 30;
+  constexpr int kKills = 30;
   const auto lines = Measurements(150);
   std::map<std::string, json> expected;
   for (const json& answer : Answers(Join(lines, 0, lines.size()), kOptions + "--output whole")) {
@@ -743,7 +743,7 @@ TEST_F(OnlineCommand, SurvivesKillsWhileTheJournalBeginsAnew) {
     if (const std::size_t at = journal.find("\"snapshot\""); at != std::string::npos)
       snapshots.insert(journal.substr(at, journal.find('}', at) - at));
   }
-  EXPECT_GT(snapshots.size(), terse::kSlowBuild ? 1u : 3u);
+  EXPECT_GT(snapshots.size(), 3u);
   Child child(folder_.string(), arguments + " --output pieces");
   const json resumed = child.Receive();
   child.Send(Join(lines, resumed["lines"], lines.size()));

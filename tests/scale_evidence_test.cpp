@@ -141,6 +141,20 @@ TYPED_TEST(ScaleEvidence, NoChoiceOfWrongLoopsCostsLess) {
     BatchResult<Pose> solved = SolveBatch(GraphOf(right.terms, right.truth.size()), right.truth, BatchOptions());
     solved.weights.assign(right.terms.size(), 1);
     EXPECT_GT(above, CostOfScales(right.terms, right.is_loop, solved)) << seed;
+    // Where odometry is far better than loops, and nothing is off, it is what they cost, but for the anchor's part.
+    auto exact = MakePasses<Pose>(seed, 60, 0, 0);
+    for (std::size_t k = 0; k < exact.terms.size(); ++k) {
+      if (!exact.is_loop[k]) exact.terms[k].factor.information *= 1e8;
+    }
+    const auto gap_at = [&](double scale) {
+      auto terms = exact.terms;
+      for (auto& term : terms) term.factor.information /= scale * scale;
+      solved = SolveBatch(GraphOf(terms, exact.truth.size()), exact.truth, BatchOptions());
+      solved.weights.assign(terms.size(), 1);
+      return CostOfScales(terms, exact.is_loop, solved) - LeastCostOfScales(terms, exact.is_loop);
+    };
+    EXPECT_GE(gap_at(1), 0) << seed;
+    EXPECT_NEAR(gap_at(3), gap_at(1), 0.01) << seed;
     // Nothing where odometry is no chain: a step there twice, one missing, and both.
     const double nothing = -std::numeric_limits<double>::infinity();
     auto twice = passes.terms, missing = passes.terms;

@@ -1,5 +1,7 @@
 #include "terse/core/cycle_test.h"
 
+#include <cmath>
+
 #include "terse/core/definite.h"
 
 namespace terse::internal {
@@ -55,11 +57,11 @@ std::optional<double> CycleTest<Pose>::Innovation(PoseId from, PoseId to, const 
   const Covariance Ad = b->second.T_start_pose.Inverse().Adjoint();
   const double sign = a->second.arrival < b->second.arrival ? 1 : -1;
   const Covariance between = sign * (b->second.covariance - a->second.covariance);
-  const Covariance sum = Ad * between * Ad.transpose() + covariance;
-  if (!IsDefinite<Pose::kDof>(sum)) return std::nullopt;
   // T Exp(d), d normal, holds for large d too: compared in the exponential chart.
   const typename Pose::Tangent error = ((a->second.T_start_pose * T_from_to).Inverse() * b->second.T_start_pose).Log();
-  return MahalanobisSquared<Pose::kDof>(sum, error);
+  const double squared = MahalanobisSquared<Pose::kDof>(Ad * between * Ad.transpose() + covariance, error);
+  if (std::isinf(squared)) return std::nullopt;
+  return squared;
 }
 
 template <class Pose>

@@ -1,9 +1,7 @@
 #include "terse/core/odometry_chain.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cstdlib>
-#include <limits>
 
 #include "terse/core/at.h"
 #include "terse/core/definite.h"
@@ -64,8 +62,7 @@ typename Pose::Jacobian OdometryChain<Pose>::CovarianceOf(int from, int to) cons
 
 template <class Pose>
 double CycleError<Pose>::Squared() const {
-  const Eigen::LLT<typename Pose::Jacobian> llt(covariance);
-  return llt.info() == Eigen::Success ? error.dot(llt.solve(error)) : std::numeric_limits<double>::infinity();
+  return MahalanobisSquared<Pose::kDof>(covariance, error);
 }
 
 template <class Pose>

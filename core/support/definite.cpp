@@ -1,6 +1,7 @@
 #include "terse/core/definite.h"
 
 #include <Eigen/Cholesky>
+#include <limits>
 
 namespace terse {
 
@@ -21,7 +22,9 @@ Eigen::Matrix<double, N, 1> SolveDefinite(const Eigen::Matrix<double, N, N>& M, 
 
 template <int N>
 double MahalanobisSquared(const Eigen::Matrix<double, N, N>& covariance, const Eigen::Matrix<double, N, 1>& error) {
-  return covariance.llt().matrixL().solve(error).squaredNorm();
+  const Eigen::LLT<Eigen::Matrix<double, N, N>> llt(covariance);
+  if (llt.info() != Eigen::Success) return std::numeric_limits<double>::infinity();
+  return llt.matrixL().solve(error).squaredNorm();
 }
 
 #define TERSE_INSTANTIATE(N)                                                                     \

@@ -31,7 +31,8 @@ reaching() {
   done
   printf '%s\n' "${!found[@]}"
 }
-# What most of them include is precompiled for those that include it; of two of these the second includes the first.
+# What most of them include is precompiled for those that include it, as if they did so first; of two of these the second
+# includes the first.
 declare -A folder_of
 precompiled_for=()
 for include_of in '<Eigen/Core>' '"terse/lie/se3.h"' '"terse/core/pose_graph.h"'; do

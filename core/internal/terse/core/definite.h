@@ -14,7 +14,7 @@ Eigen::Matrix<double, N, N> InverseOfDefinite(const Eigen::Matrix<double, N, N>&
 // M^-1 b.
 template <int N>
 Eigen::Matrix<double, N, 1> SolveDefinite(const Eigen::Matrix<double, N, N>& M, const Eigen::Matrix<double, N, 1>& b);
-// error^T covariance^-1 error.
+// error^T covariance^-1 error; infinity if the covariance is not definite.
 template <int N>
 double MahalanobisSquared(const Eigen::Matrix<double, N, N>& covariance, const Eigen::Matrix<double, N, 1>& error);
 
