@@ -97,6 +97,22 @@ TEST(LoopContest, GroupsAreWorthWhatTheirLoopsCost) {
   }
 }
 
+TEST(LoopContest, SomeOfThemDoAsAmongAll) {
+  testing::Random rng(41);
+  const Problem problem = Problem::Make(rng, 8, 12);
+  Contest<kB> all = problem.Start({0, 1, 0, 1, 1, 0, 1, 0});
+  all.SetPrice(6, 3 * kWidth);
+  const std::vector<size_t> some = {6, 2, 3};
+  Contest<kB> among = all.Among(some);
+  ASSERT_EQ(among.In(), (std::vector<char>{1, 0, 1}));
+  for (const size_t k : {size_t{0}, size_t{1}, size_t{2}, size_t{0}}) {
+    ASSERT_TRUE(among.Flip(k));
+    ASSERT_TRUE(all.Flip(some[k]));
+    EXPECT_NEAR(among.Cost(), all.Cost(), 1e-9);
+    for (size_t i = 0; i < some.size(); ++i) EXPECT_NEAR(among.Innovation(i), all.Innovation(some[i]), 1e-9);
+  }
+}
+
 // No single flip is better than where it ends, and graduation ends no worse than nothing.
 TEST(LoopContest, DescentEndsInAMinimum) {
   for (const std::uint64_t seed : testing::Seeds(21, 25)) {

@@ -1,8 +1,15 @@
 #include "terse/core/front_paths.h"
 
+#include <tuple>
 #include <utility>
 
 namespace terse::internal {
+namespace {
+
+// Columns of a product of a matrix with itself that are made at once, those above the diagonal too.
+constexpr int kTogether = 24;
+
+}  // namespace
 
 std::vector<int>& RowScratch(int variables) {
   thread_local std::vector<int> row_of;
@@ -85,13 +92,15 @@ PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f) 
   add(f.first, f.A_first);
   add(f.second, f.A_second);
   ForwardPaths(paths, first, lower, row_of, X.data(), kStride, scratch);
-  PathColumns<B> out;
-  const double* z = X.data();
+  PathColumns<B> out{{}, std::move(X)};
+  out.rows.reserve(At(paths.Size()));
+  std::size_t at = 0;
   for (int k = 0; k < paths.Size(); ++k) {
-    const int p = paths[k].Columns();
-    out.emplace(paths.IdAt(k), Eigen::Map<const typename PathColumns<B>::mapped_type>(z, p, kStride));
-    z += p * kStride;
+    const int columns = paths[k].Columns();
+    out.rows.push_back({paths.IdAt(k), columns, at});
+    at += At(columns) * kStride;
   }
+  std::sort(out.rows.begin(), out.rows.end(), [](const auto& a, const auto& b) { return a.front < b.front; });
   return out;
 }
 
@@ -99,14 +108,15 @@ template <int B>
 Matrix<B, B> Gram(const PathColumns<B>& a, const PathColumns<B>& b) {
   Matrix<B, B> sum = Matrix<B, B>::Zero();
   const auto add = Kernels().add_rectangle;
-  for (auto at_a = a.begin(), at_b = b.begin(); at_a != a.end() && at_b != b.end();) {
-    if (at_a->first < at_b->first) {
+  for (auto at_a = a.rows.begin(), at_b = b.rows.begin(); at_a != a.rows.end() && at_b != b.rows.end();) {
+    if (at_a->front < at_b->front) {
       ++at_a;
-    } else if (at_b->first < at_a->first) {
+    } else if (at_b->front < at_a->front) {
       ++at_b;
     } else {
-      const auto &za = (at_a++)->second, &zb = (at_b++)->second;
-      add(sum.data(), B, za.data(), Stride(B), zb.data(), Stride(B), B, B, static_cast<int>(za.rows()));
+      add(sum.data(), B, a.On(*at_a), Stride(B), b.On(*at_b), Stride(B), B, B, at_a->count);
+      ++at_a;
+      ++at_b;
     }
   }
   return sum;
@@ -116,27 +126,42 @@ Matrix<B, B> Gram(const PathColumns<B>& a, const PathColumns<B>& b) {
 template <int B>
 Eigen::MatrixXd JointGram(const std::vector<const PathColumns<B>*>& columns) {
   struct Passing {
-    int at;
-    const typename PathColumns<B>::mapped_type* Z;
+    int front, at, rows;
+    const double* z;
   };
-  std::map<int, std::vector<Passing>> fronts;
+  std::vector<Passing> all;
   int size = 0;
   for (const PathColumns<B>* path : columns) {
-    for (const auto& [front, Z] : *path) fronts[front].push_back({size, &Z});
+    for (const auto& piece : path->rows) all.push_back({piece.front, size, piece.count, path->On(piece)});
     size += B;
   }
-  Eigen::MatrixXd joint = Eigen::MatrixXd::Zero(size, size), Z, product;
-  for (const auto& [front, passing] : fronts) {
-    const int width = B * static_cast<int>(passing.size());
-    Z.resize(passing[0].Z->rows(), width);
-    for (int k = 0; k < width; k += B) Z.middleCols<B>(k) = passing[At(k / B)].Z->template leftCols<B>();
-    product.setZero(width, width);
-    product.selfadjointView<Eigen::Lower>().rankUpdate(Z.transpose());
-    for (int j = 0; j < width; j += B) {
-      for (int i = j; i < width; i += B) {
-        joint.block<B, B>(passing[At(i / B)].at, passing[At(j / B)].at) += product.block<B, B>(i, j);
+  std::sort(all.begin(), all.end(),
+            [](const Passing& a, const Passing& b) { return std::tie(a.front, a.at) < std::tie(b.front, b.at); });
+  Eigen::MatrixXd joint = Eigen::MatrixXd::Zero(size, size);
+  std::vector<double> side, product;  // all that pass side by side, and the lower triangle of their product
+  const auto add = Kernels().add_rectangle;
+  for (auto first = all.begin(); first != all.end();) {
+    const auto last = std::find_if(first, all.end(), [&](const Passing& p) { return p.front != first->front; });
+    const int width = B * static_cast<int>(last - first), rows = first->rows;
+    side.resize(At(width) * At(rows));
+    for (auto p = first; p != last; ++p) {
+      double* to = side.data() + B * (p - first);
+      for (int i = 0; i < rows; ++i) std::copy_n(p->z + i * Stride(B), B, to + i * width);
+    }
+    const bool are_all = width == size;
+    if (!are_all) product.assign(At(width) * At(width), 0);
+    double* sum = are_all ? joint.data() : product.data();
+    for (int j = 0; j < width; j += kTogether) {
+      add(sum + At(j) * At(width) + At(j), width, side.data() + j, width, side.data() + j, width, width - j,
+          std::min(kTogether, width - j), rows);
+    }
+    for (auto p = first; !are_all && p != last; ++p) {
+      const Eigen::Map<const Eigen::MatrixXd> part(product.data() + B * width * (p - first), width, B);
+      for (auto q = p; q != last; ++q) {
+        joint.block<B, B>(q->at, p->at) += part.middleRows<B>(static_cast<Eigen::Index>(B * (q - first)));
       }
     }
+    first = last;
   }
   joint.triangularView<Eigen::StrictlyUpper>() = joint.transpose();
   return joint;
@@ -159,9 +184,12 @@ std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>
       xs.template segment<B>(row) = Eigen::Map<const Vector<B>>(x.data() + static_cast<std::size_t>(v) * B);
       row += B;
     }
-    const auto it = Z.find(id);
-    if (it == Z.end() && xs.isZero(0)) continue;  // all below stays
-    xp = it != Z.end() ? Eigen::VectorXd(it->second.template leftCols<B>() * q) : Eigen::VectorXd::Zero(p);
+    const auto* piece = Z.Find(id);
+    if (piece == nullptr && xs.isZero(0)) continue;  // all below stays
+    xp.setZero(p);
+    for (int i = 0; piece != nullptr && i < p; ++i) {
+      xp[i] = Eigen::Map<const Vector<B>>(Z.On(*piece) + i * Stride(B)).dot(q);
+    }
     xp.noalias() -= L.middleRows(p, rows - 1 - p).transpose() * xs;
     L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(xp);
     row = 0;

@@ -20,6 +20,19 @@ Contest<B>::Contest(Eigen::VectorXd residual, Eigen::MatrixXd covariance, std::v
       width_(width) {}
 
 template <int B>
+Contest<B> Contest<B>::Among(const std::vector<std::size_t>& some) const {
+  std::vector<Eigen::Index> rows;
+  std::vector<char> in;
+  for (const std::size_t i : some) {
+    for (int b = 0; b < B; ++b) rows.push_back(Row(i) + b);
+    in.push_back(in_[i]);
+  }
+  Contest out(n_(rows), P_(rows, rows), std::move(in), width_);
+  for (std::size_t i = 0; i < some.size(); ++i) out.k_[i] = k_[some[i]];
+  return out;
+}
+
+template <int B>
 double Contest<B>::Innovation(std::size_t i) const {
   const Eigen::LLT<Block> llt(Spread(i));
   const auto n = n_.segment<B>(Row(i));

@@ -263,7 +263,7 @@ auto LoopJudge<Pose>::ContestOf(Loops& loops, const Map& map) const -> Contest<B
   std::vector<char> in;
   std::vector<const PathColumns<B>*> columns;
   for (Loop& loop : loops) {
-    if (loop.z.empty()) loop.z = SolveForward(map.Cholesky().Tree(), loop.linear);
+    if (loop.z.IsEmpty()) loop.z = SolveForward(map.Cholesky().Tree(), loop.linear);
     r.segment<B>(static_cast<Eigen::Index>(in.size()) * B) =
         loop.slot >= 0 ? map.LinearResidual(loop.slot) : loop.residual;
     in.push_back(loop.slot >= 0);

@@ -1,6 +1,7 @@
 // Slips of the odometry: what LoopJudge makes of slip_search.h.
 
 #include <algorithm>
+#include <iterator>
 #include <set>
 #include <vector>
 
@@ -88,33 +89,41 @@ bool LoopJudge<Pose>::AdmitLocalSlip(Loop newcomer, StepContext<Pose>& step) {
   if (at_stake <= kSlipPrice * limit_) return false;
   if (others.size() > kMostLoops) others.erase(others.begin(), others.end() - static_cast<long>(kMostLoops));
   const auto is_loop = [&](int slot) { return At(slot).is_loop != 0; };
-  if (newcomer.z.empty()) newcomer.z = SolveForward(map.Cholesky().Tree(), newcomer.linear);
-  double lowest = -kLeastGainOfSlip * limit_;
-  Slip<Pose> slip;
+  if (newcomer.z.IsEmpty()) newcomer.z = SolveForward(map.Cholesky().Tree(), newcomer.linear);
+  Loops contest;  // odometry that may be at fault, then the newcomer and the others
   for (const int v : starts) {
     const int slot = OdometrySlot(v, is_loop, map);
     if (slot < 0) continue;
-    Loops contest = {Loop(map.IdAt(slot), map), newcomer};
+    Loops both = {Loop(map.IdAt(slot), map), newcomer};
     // Without the odometry the newcomer is near what others say, or else it contradicts them as well.
-    Contest<B> pair = ContestOf(contest, map);
+    Contest<B> pair = ContestOf(both, map);
     if (pair.Leverage(0) <= kMostLocalLeverage && pair.Flip(0) && pair.Innovation(1) > kNearOthers * limit_) continue;
-    if (PlacesAcross(v, LoopsIn(map), map) < kLeastPlaces) continue;
-    contest.insert(contest.end(), others.begin(), others.end());
-    Contest<B> without = ContestOf(contest, map);
-    for (size_t k = 2; k < contest.size(); ++k) others[k - 2].z = contest[k].z;
+    if (PlacesAcross(v, LoopsIn(map), map) >= kLeastPlaces) contest.push_back(std::move(both[0]));
+  }
+  if (contest.empty()) return false;
+  const size_t suspects = contest.size();
+  contest.push_back(std::move(newcomer));
+  std::move(others.begin(), others.end(), std::back_inserter(contest));
+  const Contest<B> together = ContestOf(contest, map);
+  double lowest = -kLeastGainOfSlip * limit_;
+  Slip<Pose> slip;
+  for (size_t suspect = 0; suspect < suspects; ++suspect) {
+    std::vector<size_t> members = {suspect};
+    for (size_t k = suspects; k < contest.size(); ++k) members.push_back(k);
+    Contest<B> without = together.Among(members);
     without.SetPrice(0, kSlipPrice * limit_);
     if (without.Leverage(0) > kMostLocalLeverage) without.Flip(1);  // what hangs on nothing else hangs on the loop
     if (without.Leverage(0) > kMostLocalLeverage || !without.Flip(0)) continue;
-    without.Descend(1, contest.size());
+    without.Descend(1, members.size());
     if (without.Cost() >= lowest) continue;
     std::vector<FactorId> comes;
-    for (size_t k = 1; k < contest.size(); ++k) {
-      if (without.In()[k] != 0) comes.push_back(contest[k].id);
+    for (size_t k = 1; k < members.size(); ++k) {
+      if (without.In()[k] != 0) comes.push_back(contest[members[k]].id);
     }
     if (CountPlaces(comes, map) < 2) continue;
     lowest = without.Cost();
     slip.comes = comes;
-    slip.odometry = contest[0].id;
+    slip.odometry = contest[suspect].id;
   }
   return slip.odometry && TakeIfVerified(slip, step);
 }

@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <limits>
-#include <map>
 #include <vector>
 
 #include "terse/core/dense_kernels.h"
@@ -191,10 +190,25 @@ void SolveOn(const FrontPaths<B>& paths, const std::vector<double>& solution, co
   }
 }
 
-// Z = L^-1 A' of a linear factor, B columns and what fills them up to the stride, by front of the paths from its
-// variables to the root; all else is zero.
+// Z = L^-1 A' of a linear factor, B columns and what fills them up to the stride, on the fronts from its variables to the
+// root; all else is zero.
 template <int B>
-using PathColumns = std::map<int, Eigen::Matrix<double, Eigen::Dynamic, Stride(B), Eigen::RowMajor>>;
+struct PathColumns {
+  struct Rows {
+    int front, count;
+    std::size_t at;  // in values, row-major
+  };
+  std::vector<Rows> rows;  // by front, ascending
+  std::vector<double> values;
+
+  bool IsEmpty() const { return rows.empty(); }
+  const double* On(const Rows& piece) const { return values.data() + piece.at; }
+  const Rows* Find(int front) const {
+    const auto it = std::lower_bound(rows.begin(), rows.end(), front,
+                                     [](const Rows& piece, int f) { return piece.front < f; });
+    return it != rows.end() && it->front == front ? &*it : nullptr;
+  }
+};
 template <int B>
 PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f);
 // a' b.

@@ -15,6 +15,9 @@ class Contest {
   using Block = Eigen::Matrix<double, B, B>;
   Contest(Eigen::VectorXd residual, Eigen::MatrixXd covariance, std::vector<char> in, double width);
 
+  // Of some of them, as they are now.
+  Contest Among(const std::vector<std::size_t>& some) const;
+
   std::size_t Size() const { return in_.size(); }
   const std::vector<char>& In() const { return in_; }
   // What the flips so far add to the minimum of truncated least squares.
