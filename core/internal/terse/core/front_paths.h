@@ -190,8 +190,8 @@ void SolveOn(const FrontPaths<B>& paths, const std::vector<double>& solution, co
   }
 }
 
-// Z = L^-1 A' of a linear factor, B columns and what fills them up to the stride, on the fronts from its variables to the
-// root; all else is zero.
+// Z = L^-1 A' of a linear factor, B columns and what fills them up to the stride, on the fronts from its variables to
+// the root; all else is zero.
 template <int B>
 struct PathColumns {
   struct Rows {
@@ -204,8 +204,8 @@ struct PathColumns {
   bool IsEmpty() const { return rows.empty(); }
   const double* On(const Rows& piece) const { return values.data() + piece.at; }
   const Rows* Find(int front) const {
-    const auto it = std::lower_bound(rows.begin(), rows.end(), front,
-                                     [](const Rows& piece, int f) { return piece.front < f; });
+    const auto it =
+        std::lower_bound(rows.begin(), rows.end(), front, [](const Rows& piece, int f) { return piece.front < f; });
     return it != rows.end() && it->front == front ? &*it : nullptr;
   }
 };
