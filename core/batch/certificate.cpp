@@ -22,7 +22,7 @@ using Triplets = std::vector<Eigen::Triplet<double>>;
 // Of the mean of the diagonal.
 constexpr double kFirstShift = 1e-11, kLastShift = 1e3;
 // An eigenvalue below zero by no more than this share of the largest entry of the diagonal is rounding.
-constexpr double kRounding = 1e-12;
+constexpr double kRoundingOfEigenvalues = 1e-12;
 constexpr double kNothing = 1e-6;  // cost of a measured scalar
 constexpr int kKrylov = 30, kMostRestarts = 1000;
 constexpr double kEigenTolerance = 1e-6;
@@ -178,7 +178,8 @@ Certificate Certify(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_wor
   }
   out.smallest_eigenvalue = SmallestEigenvalue<Pose::kDim>(S);
   const double rotations = static_cast<double>(Pose::kDim) * static_cast<double>(critical.size());
-  const double below = out.smallest_eigenvalue < -kRounding * S.diagonal().maxCoeff() ? out.smallest_eigenvalue : 0;
+  const double below =
+      out.smallest_eigenvalue < -kRoundingOfEigenvalues * S.diagonal().maxCoeff() ? out.smallest_eigenvalue : 0;
   out.bound = trace + rotations * below;
   // Measurements without noise cost nothing but rounding.
   const double unit = std::max(out.cost, kNothing * Pose::kDof * static_cast<double>(terms.size()));
