@@ -12,7 +12,12 @@ struct LanesOf {
   typedef double Type __attribute__((vector_size(W * sizeof(double)), aligned(8), may_alias));
 };
 
-constexpr int kPivotBlock = 8, kLine = 8;  // doubles in a cache line
+constexpr int kLine = 8;  // doubles in a cache line
+// Rows of V vectors that fit in registers: of 16 with four lanes each, 32 with eight.
+template <int W, int V>
+constexpr int MostRows() {
+  return W == 4 && V == 2 ? 6 : 8;
+}
 
 // x[i0 + r] -= sum_j L(i0 + r, j) x[j] for r < N rows; L column-major.
 template <int W, int V, int N>
@@ -61,7 +66,7 @@ inline void BackwardPivots(const double* l, long ld, int rows, double* x, long s
   const double* x_below = x + N * stride;
   for (int i0 = 0; i0 < rows; i0 += kLine) {
     // The columns that come next: short ones start too late for the processor to see them coming.
-    for (int p = 0; p < N; ++p) __builtin_prefetch(below + (p - kPivotBlock) * ld + i0);
+    for (int p = 0; p < N; ++p) __builtin_prefetch(below + (p - MostRows<W, V>()) * ld + i0);
     const int end = i0 + kLine < rows ? i0 + kLine : rows;
     for (int i = i0; i < end; ++i) {
       Lanes xi[V];
@@ -99,14 +104,18 @@ inline void BackwardBlock(int width, const double* l, long ld, int rows, double*
   }
 }
 
+// All pivots of a block have their rows of x in registers, one vector of each; the rows below as many as fit.
 template <int W, int V>
 void Forward(const double* l, long ld, int rows, int pivots, double* x, long stride) {
-  for (int k = 0; k < pivots; k += kPivotBlock) {
-    const int width = pivots - k < kPivotBlock ? pivots - k : kPivotBlock;
-    ForwardBlock<W, V, kPivotBlock>(width, l + k * ld + k, ld, x + k * stride, stride);
+  constexpr int kBlock = MostRows<W, 1>(), kRows = MostRows<W, V>();
+  for (int k = 0; k < pivots; k += kBlock) {
+    const int width = pivots - k < kBlock ? pivots - k : kBlock;
+    for (int v = 0; v < V; ++v) {
+      ForwardBlock<W, 1, kBlock>(width, l + k * ld + k, ld, x + k * stride + v * W, stride);
+    }
     int r = k + width;
-    for (; r + 8 <= rows; r += 8) {
-      ForwardRows<W, V, 8>(l + k * ld + r, ld, width, x + k * stride, x + r * stride, stride);
+    for (; r + kRows <= rows; r += kRows) {
+      ForwardRows<W, V, kRows>(l + k * ld + r, ld, width, x + k * stride, x + r * stride, stride);
     }
     for (; r + 3 <= rows; r += 3) {
       ForwardRows<W, V, 3>(l + k * ld + r, ld, width, x + k * stride, x + r * stride, stride);
@@ -117,10 +126,11 @@ void Forward(const double* l, long ld, int rows, int pivots, double* x, long str
 
 template <int W, int V>
 void Backward(const double* l, long ld, int rows, int pivots, double* x, long stride) {
+  constexpr int kBlock = MostRows<W, V>();
   for (int next = pivots; next > 0;) {
     // The odd ones first, so that all other blocks are full.
-    const int odd = next % kPivotBlock, width = odd == 0 ? kPivotBlock : odd, k = next - width;
-    BackwardBlock<W, V, kPivotBlock>(width, l + k * ld + k, ld, rows - next, x + k * stride, stride);
+    const int odd = next % kBlock, width = odd == 0 ? kBlock : odd, k = next - width;
+    BackwardBlock<W, V, kBlock>(width, l + k * ld + k, ld, rows - next, x + k * stride, stride);
     next = k;
   }
 }
@@ -161,6 +171,9 @@ inline void ForLanes(int columns, const DoLanes& do_lanes) {
     for (; c + 8 <= columns; c += 8) do_lanes.template operator()<8, 1>(c);
     for (; c < columns; c += 4) do_lanes.template operator()<4, 1>(c);
   } else {
+    if constexpr (kWidth == 4) {
+      for (; c + 8 <= columns; c += 8) do_lanes.template operator()<4, 2>(c);
+    }
     for (; c < columns; c += 4) do_lanes.template operator()<kWidth, 4 / kWidth>(c);
   }
 }

@@ -14,7 +14,7 @@ namespace {
 using std::size_t;
 
 // A rise by less is rounding.
-constexpr double kRounding = 1e-12;
+constexpr double kRoundingOfCost = 1e-12;
 // The guard gives a direction up when this share of it still raises chi2.
 constexpr double kLeastShareOfPoints = 1e-3;
 
@@ -40,7 +40,7 @@ bool MoveBy(typename LinearizedGraph<Pose>::Steps& steps, StepContext<Pose>& ste
     before = 0;
     for (const auto& change : replaced) before += map.Cholesky().LinearFactorAt(change.first).residual.squaredNorm();
     after = SquaredResiduals(replaced);
-    return after <= before * (1 + kRounding);
+    return after <= before * (1 + kRoundingOfCost);
   };
   bool good = place(1);
   if (step.options.guard && !good) {
