@@ -190,7 +190,7 @@ TEST(DenseKernels, BackSubstituteEqualsDense) {
         for (int c = 0; c < p; ++c) panel.col(c).tail(rows - c) = L.col(c).tail(rows - c);
         Eigen::VectorXd x = Eigen::VectorXd::NullaryExpr(p + s, [&] { return testing::Normal(rng); });
         const Eigen::VectorXd separators = x.tail(s);
-        const Eigen::VectorXd y = L.row(rows - 1).head(p).transpose() - L.block(p, 0, s, p).transpose() * separators;
+        const Eigen::VectorXd y = x.head(p) - L.block(p, 0, s, p).transpose() * separators;
         const Eigen::VectorXd expected = L.topLeftCorner(p, p).transpose().triangularView<Eigen::Upper>().solve(y);
         kernels.back_substitute(panel.data(), rows, p, x.data());
         ASSERT_LT((x.head(p) - expected).cwiseAbs().maxCoeff(), 1e-12 * rows) << "pivots " << p << ", separators " << s;

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <unordered_set>
 
-#include "terse/core/dense_kernels.h"
+#include "terse/core/front_paths.h"
 
 namespace terse::internal {
 
@@ -11,13 +11,11 @@ namespace terse::internal {
 template <int B>
 void BackSubstitution<B>::Visit(Front<B>& front, const BlockSystem<B>& system, double threshold,
                                 std::vector<double>& solution, std::vector<int>& changed) {
-  const int rows = front.Rows(), p = front.Columns();
-  x_.resize(At(rows));
+  x_.resize(At(front.Rows()));
   double* const d = solution.data();
   double* const moved = moved_.data();
-  double* separators = x_.data() + p;
-  for (const int v : front.separators) separators = std::copy_n(d + At(v) * B, B, separators);
-  Kernels().back_substitute(front.panel.data(), rows, p, x_.data());
+  front.CopyRightHandSide(x_.data());
+  BackSubstituteFront(front, d, x_.data());
   for (std::size_t k = 0; k < front.pivots.size(); ++k) {
     const int v = front.pivots[k];
     Eigen::Map<Vector<B>> old(d + At(v) * B);

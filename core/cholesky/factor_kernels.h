@@ -169,7 +169,6 @@ void RankUpdate(double* panel, int ld, int rows, int pivots, double* w, int ldw,
 
 void BackSubstitute(const double* panel, int rows, int pivots, double* x) {
   const long ld = rows;
-  for (int j = 0; j < pivots; ++j) x[j] = panel[j * ld + rows - 1];
   // The separators are known: all columns of theirs before the triangle, which has to wait for itself.
   const int separators = rows - 1 - pivots;
   const auto below = [&](int j) { return panel + j * ld + pivots; };

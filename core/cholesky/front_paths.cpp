@@ -169,33 +169,24 @@ Eigen::MatrixXd JointGram(const std::vector<const PathColumns<B>*>& columns) {
 
 template <int B>
 std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>& Z, const Vector<B>& q) {
-  std::vector<double> x(static_cast<std::size_t>(tree.Variables()) * B, 0.0);
+  std::vector<double> x(At(tree.Variables()) * B, 0.0), of_front;
   std::vector<int> stack = tree.Roots();
-  Eigen::VectorXd xs, xp;
   while (!stack.empty()) {
     const int id = stack.back();
     stack.pop_back();
     const auto& front = tree[id];
-    const int rows = front.Rows(), p = front.Columns();
-    const auto L = front.Panel();
-    xs.resize(rows - 1 - p);
-    int row = 0;
-    for (const int v : front.separators) {
-      xs.template segment<B>(row) = Eigen::Map<const Vector<B>>(x.data() + static_cast<std::size_t>(v) * B);
-      row += B;
-    }
+    const auto is_zero = [&](int v) {
+      return std::all_of(&x[At(v) * B], &x[At(v) * B] + B, [](double e) { return e == 0; });
+    };
     const auto* piece = Z.Find(id);
-    if (piece == nullptr && xs.isZero(0)) continue;  // all below stays
-    xp.setZero(p);
-    for (int i = 0; piece != nullptr && i < p; ++i) {
-      xp[i] = Eigen::Map<const Vector<B>>(Z.On(*piece) + i * Stride(B)).dot(q);
+    if (piece == nullptr && std::all_of(front.separators.begin(), front.separators.end(), is_zero)) continue;
+    of_front.assign(At(front.Rows()), 0.0);
+    for (int i = 0; piece != nullptr && i < piece->count; ++i) {
+      of_front[At(i)] = Eigen::Map<const Vector<B>>(Z.On(*piece) + i * Stride(B)).dot(q);
     }
-    xp.noalias() -= L.middleRows(p, rows - 1 - p).transpose() * xs;
-    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(xp);
-    row = 0;
-    for (const int v : front.pivots) {
-      Eigen::Map<Vector<B>>(x.data() + static_cast<std::size_t>(v) * B) = xp.template segment<B>(row);
-      row += B;
+    BackSubstituteFront(front, x.data(), of_front.data());
+    for (std::size_t k = 0; k < front.pivots.size(); ++k) {
+      std::copy_n(&of_front[k * B], B, &x[At(front.pivots[k]) * B]);
     }
     stack.insert(stack.end(), front.children.begin(), front.children.end());
   }

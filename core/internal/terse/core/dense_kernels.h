@@ -21,7 +21,7 @@ struct DenseKernels {
   // L L' + W W', W having `columns` columns and the same rows. What W holds in its other rows afterwards is the update
   // of what is below. Pivots may be zero.
   void (*rank_update)(double* panel, int ld, int rows, int pivots, double* w, int ldw, int columns);
-  // x (pivots, then separators, rows - 1 in all): the pivots' part of L' x = y, y in the panel's last row.
+  // x_P = L_PP^-T (x_P - L_SP' x_S), x the pivots, then the separators, one less than the rows of the panel.
   void (*back_substitute)(const double* panel, int rows, int pivots, double* x);
 
   // What a linear factor adds to the normal equations: H_first = A'A, b_first = -A'r and, unless B is null, H_second =

@@ -39,6 +39,11 @@ struct Front {
   double* Entry(int row, int column) { return panel.data() + At(column) * At(Rows()) + At(row); }
   const double* Entry(int row, int column) const { return panel.data() + At(column) * At(Rows()) + At(row); }
   Eigen::Map<const Eigen::MatrixXd> Panel() const { return {panel.data(), Rows(), Columns()}; }
+  // y_P.
+  void CopyRightHandSide(double* to) const {
+    const double* last = panel.data() + Rows() - 1;
+    for (int column = 0; column < Columns(); ++column) to[column] = last[At(column) * At(Rows())];
+  }
   // The update matrix's leading dimension.
   int UpdateRows() const { return B * update_separators + 1; }
 

@@ -165,27 +165,29 @@ void SolveAll(const FrontTree<B>& tree, const std::vector<RightHandSide<B>>& E, 
 template <int B>
 void SolveDense(const FrontTree<B>& tree, std::vector<double>& X, int stride);
 
+// x_P = L_PP^-T (x_P - L_SP' d_S) for a single right-hand side; x has room for as many as the panel has rows, d_S comes
+// from `solution`, by variable.
+template <int B>
+void BackSubstituteFront(const Front<B>& front, const double* solution, double* x) {
+  double* separators = x + front.Columns();
+  for (const int v : front.separators) separators = std::copy_n(solution + At(v) * B, B, separators);
+  Kernels().back_substitute(front.panel.data(), front.Rows(), front.Columns(), x);
+}
+
 // L' d = y on these fronts alone: their share of the full Gauss-Newton step (Arablouei 2026 Eq. 15, which holds for
 // sets that are closed under ancestors). Calls set(variable, d) as it goes; solution: all d, as they are set.
 template <int B, class Set>
 void SolveOn(const FrontPaths<B>& paths, const std::vector<double>& solution, const Set& set) {
-  Eigen::VectorXd x;
+  std::vector<double> x;
   for (int k = 0; k < paths.Size(); ++k) {
     const Front<B>& front = paths[k];
-    const auto L = front.Panel();
-    const int rows = front.Rows(), p = front.Columns();
-    x = L.row(rows - 1).transpose();
-    int row = p;
-    for (const int v : front.separators) {
-      const Eigen::Map<const Vector<B>> xs(solution.data() + At(v) * B);
-      x.noalias() -= L.template middleRows<B>(row).transpose() * xs;
-      row += B;
-    }
-    L.topRows(p).template triangularView<Eigen::Lower>().transpose().solveInPlace(x);
-    row = 0;
+    x.resize(At(front.Rows()));
+    front.CopyRightHandSide(x.data());
+    BackSubstituteFront(front, solution.data(), x.data());
+    const double* d = x.data();
     for (const int v : front.pivots) {
-      set(v, Vector<B>(x.segment<B>(row)));
-      row += B;
+      set(v, Vector<B>(Eigen::Map<const Vector<B>>(d)));
+      d += B;
     }
   }
 }
