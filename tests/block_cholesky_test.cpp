@@ -168,7 +168,7 @@ TEST(BlockCholesky, SingularUpdateChangesNothing) {
 
 // A H^-1 A' of many factors at once, which may share all of their paths or none.
 template <int B>
-void ExpectJointGram(std::uint64_t seed) {
+void ExpectJointGram(std::uint64_t seed, int chains) {
   Random rng(seed);
   BlockCholesky<B> cholesky;
   typename BlockCholesky<B>::Changes changes;
@@ -176,7 +176,7 @@ void ExpectJointGram(std::uint64_t seed) {
   testing::DenseSystem dense{Eigen::MatrixXd::Zero(20 * B, 20 * B), Eigen::VectorXd::Zero(20 * B)};
   for (int v = 0; v < 20; ++v) {
     changes.added.push_back(RandomFactor<B>(rng, v, -1));
-    if (v % 10 > 0) changes.added.push_back(RandomFactor<B>(rng, v - 1, v));  // two chains
+    if (v % (20 / chains) > 0) changes.added.push_back(RandomFactor<B>(rng, v - 1, v));
   }
   for (const auto& f : changes.added) AddDense(dense, f);
   ASSERT_TRUE(cholesky.Update(changes).ok);
@@ -193,12 +193,33 @@ void ExpectJointGram(std::uint64_t seed) {
   for (const auto& z : columns) all.push_back(&z);
   const Eigen::MatrixXd expected = A * dense.H.llt().solve(A.transpose());
   EXPECT_LT((internal::JointGram<B>(all) - expected).norm(), kTolerance * expected.norm());
+  for (int k = 0; k < 6; ++k) {
+    const Matrix<B, B> gram = internal::Gram<B>(columns[0], columns[static_cast<std::size_t>(k)]);
+    EXPECT_LT((gram - expected.block<B, B>(0, k * B)).norm(), kTolerance * expected.norm());
+  }
+  const Vector<B> q = Vector<B>::Random();
+  const std::vector<double> x = internal::SolveBackward<B>(cholesky.Tree(), columns[0], q);
+  const Eigen::VectorXd dense_x = dense.H.llt().solve(A.topRows<B>().transpose() * q);
+  ASSERT_EQ(x.size(), static_cast<std::size_t>(dense_x.size()));
+  EXPECT_LT((Eigen::Map<const Eigen::VectorXd>(x.data(), dense_x.size()) - dense_x).norm(),
+            kTolerance * dense_x.norm());
+  // More of them, all of which reach the root of the single chain.
+  if (chains == 1) {
+    for (int copies = 0; copies < 4; ++copies) all.push_back(all[static_cast<std::size_t>(copies)]);
+    const Eigen::MatrixXd more = internal::JointGram<B>(all);
+    EXPECT_LT((more.topLeftCorner(6 * B, 6 * B) - expected).norm(), kTolerance * expected.norm());
+    EXPECT_LT((more.bottomRightCorner(4 * B, 4 * B) - expected.topLeftCorner(4 * B, 4 * B)).norm(),
+              kTolerance * expected.norm());
+    EXPECT_EQ(more, more.transpose().eval());
+  }
 }
 
 TEST(BlockCholesky, JointGramIsThatOfTheDenseInverse) {
   for (const std::uint64_t seed : testing::Seeds(1, 5)) {
-    ExpectJointGram<3>(seed);
-    ExpectJointGram<6>(seed);
+    for (const int chains : {1, 2}) {
+      ExpectJointGram<3>(seed, chains);
+      ExpectJointGram<6>(seed, chains);
+    }
   }
 }
 

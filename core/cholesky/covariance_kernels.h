@@ -13,10 +13,10 @@ struct LanesOf {
 };
 
 constexpr int kLine = 8;  // doubles in a cache line
-// Rows of V vectors that fit in registers: of 16 with four lanes each, 32 with eight.
+// Rows of V vectors that fit in registers: SSE2 and AVX2 have 16 of them, AVX-512 32.
 template <int W, int V>
 constexpr int MostRows() {
-  return W == 4 && V == 2 ? 6 : 8;
+  return W <= 4 && V == 2 ? 6 : 8;
 }
 
 // x[i0 + r] -= sum_j L(i0 + r, j) x[j] for r < N rows; L column-major.
@@ -104,14 +104,15 @@ inline void BackwardBlock(int width, const double* l, long ld, int rows, double*
   }
 }
 
-// All pivots of a block have their rows of x in registers, one vector of each; the rows below as many as fit.
+// All pivots of a block have their rows of x in registers, one vector of each where there is no room for more; the rows
+// below as many as fit.
 template <int W, int V>
 void Forward(const double* l, long ld, int rows, int pivots, double* x, long stride) {
-  constexpr int kBlock = MostRows<W, 1>(), kRows = MostRows<W, V>();
+  constexpr int kBlock = 8, kRows = MostRows<W, V>(), kPivotVectors = kRows < kBlock ? 1 : V;
   for (int k = 0; k < pivots; k += kBlock) {
     const int width = pivots - k < kBlock ? pivots - k : kBlock;
-    for (int v = 0; v < V; ++v) {
-      ForwardBlock<W, 1, kBlock>(width, l + k * ld + k, ld, x + k * stride + v * W, stride);
+    for (int v = 0; v < V; v += kPivotVectors) {
+      ForwardBlock<W, kPivotVectors, kBlock>(width, l + k * ld + k, ld, x + k * stride + v * W, stride);
     }
     int r = k + width;
     for (; r + kRows <= rows; r += kRows) {

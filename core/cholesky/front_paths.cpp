@@ -1,5 +1,6 @@
 #include "terse/core/front_paths.h"
 
+#include <cassert>
 #include <tuple>
 #include <utility>
 
@@ -93,14 +94,14 @@ PathColumns<B> SolveForward(const FrontTree<B>& tree, const LinearFactor<B>& f) 
   add(f.second, f.A_second);
   ForwardPaths(paths, first, lower, row_of, X.data(), kStride, scratch);
   PathColumns<B> out{{}, std::move(X)};
-  out.rows.reserve(At(paths.Size()));
+  out.pieces.reserve(At(paths.Size()));
   std::size_t at = 0;
   for (int k = 0; k < paths.Size(); ++k) {
     const int columns = paths[k].Columns();
-    out.rows.push_back({paths.IdAt(k), columns, at});
+    out.pieces.push_back({paths.IdAt(k), columns, at});
     at += At(columns) * kStride;
   }
-  std::sort(out.rows.begin(), out.rows.end(), [](const auto& a, const auto& b) { return a.front < b.front; });
+  std::sort(out.pieces.begin(), out.pieces.end(), [](const auto& a, const auto& b) { return a.front < b.front; });
   return out;
 }
 
@@ -108,13 +109,14 @@ template <int B>
 Matrix<B, B> Gram(const PathColumns<B>& a, const PathColumns<B>& b) {
   Matrix<B, B> sum = Matrix<B, B>::Zero();
   const auto add = Kernels().add_rectangle;
-  for (auto at_a = a.rows.begin(), at_b = b.rows.begin(); at_a != a.rows.end() && at_b != b.rows.end();) {
+  for (auto at_a = a.pieces.begin(), at_b = b.pieces.begin(); at_a != a.pieces.end() && at_b != b.pieces.end();) {
     if (at_a->front < at_b->front) {
       ++at_a;
     } else if (at_b->front < at_a->front) {
       ++at_b;
     } else {
-      add(sum.data(), B, a.On(*at_a), Stride(B), b.On(*at_b), Stride(B), B, B, at_a->count);
+      assert(at_a->rows == at_b->rows);
+      add(sum.data(), B, a.On(*at_a), Stride(B), b.On(*at_b), Stride(B), B, B, at_a->rows);
       ++at_a;
       ++at_b;
     }
@@ -132,7 +134,7 @@ Eigen::MatrixXd JointGram(const std::vector<const PathColumns<B>*>& columns) {
   std::vector<Passing> all;
   int size = 0;
   for (const PathColumns<B>* path : columns) {
-    for (const auto& piece : path->rows) all.push_back({piece.front, size, piece.count, path->On(piece)});
+    for (const auto& piece : path->pieces) all.push_back({piece.front, size, piece.rows, path->On(piece)});
     size += B;
   }
   std::sort(all.begin(), all.end(),
@@ -145,6 +147,7 @@ Eigen::MatrixXd JointGram(const std::vector<const PathColumns<B>*>& columns) {
     const int width = B * static_cast<int>(last - first), rows = first->rows;
     side.resize(At(width) * At(rows));
     for (auto p = first; p != last; ++p) {
+      assert(p->rows == rows);
       double* to = side.data() + B * (p - first);
       for (int i = 0; i < rows; ++i) std::copy_n(p->z + i * Stride(B), B, to + i * width);
     }
@@ -181,7 +184,7 @@ std::vector<double> SolveBackward(const FrontTree<B>& tree, const PathColumns<B>
     const auto* piece = Z.Find(id);
     if (piece == nullptr && std::all_of(front.separators.begin(), front.separators.end(), is_zero)) continue;
     of_front.assign(At(front.Rows()), 0.0);
-    for (int i = 0; piece != nullptr && i < piece->count; ++i) {
+    for (int i = 0; piece != nullptr && i < piece->rows; ++i) {
       of_front[At(i)] = Eigen::Map<const Vector<B>>(Z.On(*piece) + i * Stride(B)).dot(q);
     }
     BackSubstituteFront(front, x.data(), of_front.data());

@@ -90,7 +90,7 @@ bool LoopJudge<Pose>::AdmitLocalSlip(Loop newcomer, StepContext<Pose>& step) {
   if (others.size() > kMostLoops) others.erase(others.begin(), others.end() - static_cast<long>(kMostLoops));
   const auto is_loop = [&](int slot) { return At(slot).is_loop != 0; };
   if (newcomer.z.IsEmpty()) newcomer.z = SolveForward(map.Cholesky().Tree(), newcomer.linear);
-  Loops contest;  // odometry that may be at fault, then the newcomer and the others
+  Loops candidates;  // odometry that may be at fault, then the newcomer and the others
   for (const int v : starts) {
     const int slot = OdometrySlot(v, is_loop, map);
     if (slot < 0) continue;
@@ -98,18 +98,19 @@ bool LoopJudge<Pose>::AdmitLocalSlip(Loop newcomer, StepContext<Pose>& step) {
     // Without the odometry the newcomer is near what others say, or else it contradicts them as well.
     Contest<B> pair = ContestOf(both, map);
     if (pair.Leverage(0) <= kMostLocalLeverage && pair.Flip(0) && pair.Innovation(1) > kNearOthers * limit_) continue;
-    if (PlacesAcross(v, LoopsIn(map), map) >= kLeastPlaces) contest.push_back(std::move(both[0]));
+    if (PlacesAcross(v, LoopsIn(map), map) >= kLeastPlaces) candidates.push_back(std::move(both[0]));
   }
-  if (contest.empty()) return false;
-  const size_t suspects = contest.size();
-  contest.push_back(std::move(newcomer));
-  std::move(others.begin(), others.end(), std::back_inserter(contest));
-  const Contest<B> together = ContestOf(contest, map);
+  if (candidates.empty()) return false;
+  const size_t suspects = candidates.size();
+  candidates.push_back(std::move(newcomer));
+  std::move(others.begin(), others.end(), std::back_inserter(candidates));
+  const Contest<B> together = ContestOf(candidates, map);
+  std::vector<size_t> members = {0};  // of a contest: a suspect, and all that are none
+  for (size_t k = suspects; k < candidates.size(); ++k) members.push_back(k);
   double lowest = -kLeastGainOfSlip * limit_;
   Slip<Pose> slip;
   for (size_t suspect = 0; suspect < suspects; ++suspect) {
-    std::vector<size_t> members = {suspect};
-    for (size_t k = suspects; k < contest.size(); ++k) members.push_back(k);
+    members[0] = suspect;
     Contest<B> without = together.Among(members);
     without.SetPrice(0, kSlipPrice * limit_);
     if (without.Leverage(0) > kMostLocalLeverage) without.Flip(1);  // what hangs on nothing else hangs on the loop
@@ -118,12 +119,12 @@ bool LoopJudge<Pose>::AdmitLocalSlip(Loop newcomer, StepContext<Pose>& step) {
     if (without.Cost() >= lowest) continue;
     std::vector<FactorId> comes;
     for (size_t k = 1; k < members.size(); ++k) {
-      if (without.In()[k] != 0) comes.push_back(contest[members[k]].id);
+      if (without.In()[k] != 0) comes.push_back(candidates[members[k]].id);
     }
     if (CountPlaces(comes, map) < 2) continue;
     lowest = without.Cost();
     slip.comes = comes;
-    slip.odometry = contest[suspect].id;
+    slip.odometry = candidates[suspect].id;
   }
   return slip.odometry && TakeIfVerified(slip, step);
 }

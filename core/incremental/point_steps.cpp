@@ -16,7 +16,7 @@ using std::size_t;
 // A rise by less is rounding.
 constexpr double kRoundingOfCost = 1e-12;
 // The guard gives a direction up when this share of it still raises chi2.
-constexpr double kLeastShareOfPoints = 1e-3;
+constexpr double kLeastShareOfStep = 1e-3;
 
 template <class Pose>
 typename LinearizedGraph<Pose>::Steps TakeStep(const std::vector<int>* scope, StepContext<Pose>& step) {
@@ -53,7 +53,7 @@ bool MoveBy(typename LinearizedGraph<Pose>::Steps& steps, StepContext<Pose>& ste
           good ? " is taken" : " too");
     }
     double share = 1;
-    while (!good && share / 2 >= kLeastShareOfPoints) good = place(share /= 2);
+    while (!good && share / 2 >= kLeastShareOfStep) good = place(share /= 2);
     if (!good) {
       Log(log, LogLevel::kInfo, "step ", map.Updates(), ": no part of the step lowers chi2, it is not taken");
       return false;

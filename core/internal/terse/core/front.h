@@ -38,7 +38,6 @@ struct Front {
   int Columns() const { return B * static_cast<int>(pivots.size()); }
   double* Entry(int row, int column) { return panel.data() + At(column) * At(Rows()) + At(row); }
   const double* Entry(int row, int column) const { return panel.data() + At(column) * At(Rows()) + At(row); }
-  Eigen::Map<const Eigen::MatrixXd> Panel() const { return {panel.data(), Rows(), Columns()}; }
   // y_P.
   void CopyRightHandSide(double* to) const {
     const double* last = panel.data() + Rows() - 1;

@@ -196,19 +196,19 @@ void SolveOn(const FrontPaths<B>& paths, const std::vector<double>& solution, co
 // the root; all else is zero.
 template <int B>
 struct PathColumns {
-  struct Rows {
-    int front, count;
+  struct Piece {
+    int front, rows;
     std::size_t at;  // in values, row-major
   };
-  std::vector<Rows> rows;  // by front, ascending
+  std::vector<Piece> pieces;  // by front, ascending
   std::vector<double> values;
 
-  bool IsEmpty() const { return rows.empty(); }
-  const double* On(const Rows& piece) const { return values.data() + piece.at; }
-  const Rows* Find(int front) const {
-    const auto it =
-        std::lower_bound(rows.begin(), rows.end(), front, [](const Rows& piece, int f) { return piece.front < f; });
-    return it != rows.end() && it->front == front ? &*it : nullptr;
+  bool IsEmpty() const { return pieces.empty(); }
+  const double* On(const Piece& piece) const { return values.data() + piece.at; }
+  const Piece* Find(int front) const {
+    const auto it = std::lower_bound(pieces.begin(), pieces.end(), front,
+                                     [](const Piece& piece, int f) { return piece.front < f; });
+    return it != pieces.end() && it->front == front ? &*it : nullptr;
   }
 };
 template <int B>

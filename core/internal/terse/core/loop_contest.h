@@ -15,7 +15,7 @@ class Contest {
   using Block = Eigen::Matrix<double, B, B>;
   Contest(Eigen::VectorXd residual, Eigen::MatrixXd covariance, std::vector<char> in, double width);
 
-  // Of some of them, as they are now.
+  // Of some of them, as they are now; its cost starts at zero.
   Contest Among(const std::vector<std::size_t>& some) const;
 
   std::size_t Size() const { return in_.size(); }
