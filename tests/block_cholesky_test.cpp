@@ -168,23 +168,30 @@ TEST(BlockCholesky, SingularUpdateChangesNothing) {
 
 // A H^-1 A' of many factors at once, which may share all of their paths or none.
 template <int B>
-void ExpectJointGram(std::uint64_t seed, int chains) {
+void ExpectJointGram(std::uint64_t seed, int trees) {
+  constexpr int kVariables = 80;  // enough for fronts with several children
   Random rng(seed);
   BlockCholesky<B> cholesky;
   typename BlockCholesky<B>::Changes changes;
-  changes.new_variables = 20;
-  testing::DenseSystem dense{Eigen::MatrixXd::Zero(20 * B, 20 * B), Eigen::VectorXd::Zero(20 * B)};
-  for (int v = 0; v < 20; ++v) {
+  changes.new_variables = kVariables;
+  testing::DenseSystem dense{Eigen::MatrixXd::Zero(kVariables * B, kVariables * B),
+                             Eigen::VectorXd::Zero(kVariables * B)};
+  for (int v = 0; v < kVariables; ++v) {
     changes.added.push_back(RandomFactor<B>(rng, v, -1));
-    if (v % (20 / chains) > 0) changes.added.push_back(RandomFactor<B>(rng, v - 1, v));
+    const int place = v % (kVariables / trees);
+    if (place > 0) {
+      const int before = v - 1 - static_cast<int>(rng() % static_cast<std::uint64_t>(place));
+      changes.added.push_back(RandomFactor<B>(rng, before, v));
+    }
   }
   for (const auto& f : changes.added) AddDense(dense, f);
   ASSERT_TRUE(cholesky.Update(changes).ok);
-  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(6 * B, 20 * B);
+  Eigen::MatrixXd A = Eigen::MatrixXd::Zero(6 * B, kVariables * B);
   std::vector<internal::PathColumns<B>> columns;
   std::vector<const internal::PathColumns<B>*> all;
   for (int k = 0; k < 6; ++k) {
-    const int first = static_cast<int>(rng() % 20), second = (first + 1 + static_cast<int>(rng() % 19)) % 20;
+    const int first = static_cast<int>(rng() % kVariables),
+              second = (first + 1 + static_cast<int>(rng() % (kVariables - 1))) % kVariables;
     const LinearFactor<B> f = RandomFactor<B>(rng, first, second);
     A.block<B, B>(k * B, first * B) = f.A_first;
     A.block<B, B>(k * B, second * B) = f.A_second;
@@ -197,14 +204,14 @@ void ExpectJointGram(std::uint64_t seed, int chains) {
     const Matrix<B, B> gram = internal::Gram<B>(columns[0], columns[static_cast<std::size_t>(k)]);
     EXPECT_LT((gram - expected.block<B, B>(0, k * B)).norm(), kTolerance * expected.norm());
   }
-  const Vector<B> q = Vector<B>::Random();
+  const Vector<B> q = Vector<B>::NullaryExpr([&] { return testing::Normal(rng); });
   const std::vector<double> x = internal::SolveBackward<B>(cholesky.Tree(), columns[0], q);
   const Eigen::VectorXd dense_x = dense.H.llt().solve(A.topRows<B>().transpose() * q);
   ASSERT_EQ(x.size(), static_cast<std::size_t>(dense_x.size()));
   EXPECT_LT((Eigen::Map<const Eigen::VectorXd>(x.data(), dense_x.size()) - dense_x).norm(),
             kTolerance * dense_x.norm());
-  // More of them, all of which reach the root of the single chain.
-  if (chains == 1) {
+  // More of them, all of which reach the root of the single tree.
+  if (trees == 1) {
     for (int copies = 0; copies < 4; ++copies) all.push_back(all[static_cast<std::size_t>(copies)]);
     const Eigen::MatrixXd more = internal::JointGram<B>(all);
     EXPECT_LT((more.topLeftCorner(6 * B, 6 * B) - expected).norm(), kTolerance * expected.norm());
@@ -216,9 +223,9 @@ void ExpectJointGram(std::uint64_t seed, int chains) {
 
 TEST(BlockCholesky, JointGramIsThatOfTheDenseInverse) {
   for (const std::uint64_t seed : testing::Seeds(1, 5)) {
-    for (const int chains : {1, 2}) {
-      ExpectJointGram<3>(seed, chains);
-      ExpectJointGram<6>(seed, chains);
+    for (const int trees : {1, 2}) {
+      ExpectJointGram<3>(seed, trees);
+      ExpectJointGram<6>(seed, trees);
     }
   }
 }
