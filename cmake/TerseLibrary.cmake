@@ -7,7 +7,8 @@ file(RELATIVE_PATH terse_libdir_from_bindir ${CMAKE_INSTALL_FULL_BINDIR} ${CMAKE
 #
 # A missing arrow between folders is a link error (--no-undefined). Each library binds its own copies of the
 # inline Eigen functions (-Bsymbolic), so that a program compiled with other -march flags cannot replace them.
-# Sanitizers and fuzzers need neither: their runtime is in the program, and it takes a second copy of a variable for an error.
+# With sanitizers and fuzzers neither: their runtime is in the program, and it takes a second copy of a variable for an
+# error. Functions are bound all the same, as those of tests are not optimised.
 function(terse_library name)
   cmake_parse_arguments(ARG "" "EXPORT" "SOURCES;LINKS;PRIVATE_LINKS" ${ARGN})
   if(NOT ARG_EXPORT)
@@ -27,6 +28,8 @@ function(terse_library name)
   target_link_libraries(${name} PUBLIC ${ARG_LINKS} PRIVATE ${ARG_PRIVATE_LINKS})
   if(NOT CMAKE_CXX_FLAGS MATCHES "-fsanitize" AND NOT TERSE_BUILD_FUZZERS)
     target_link_options(${name} PRIVATE -Wl,-Bsymbolic -Wl,--no-undefined)
+  else()
+    target_link_options(${name} PRIVATE -Wl,-Bsymbolic-functions)
   endif()
   terse_warnings(${name})
   terse_fuzzed(${name})
@@ -52,9 +55,10 @@ function(terse_warnings name)
   endif()
 endfunction()
 
-# terse_builds_fast(NAME): what does not compute much itself compiles in half the time without the costly optimisations.
+# terse_builds_fast(NAME): what does not compute much itself compiles in half the time without the costly optimisations,
+# where there are sanitizers without any.
 function(terse_builds_fast name)
-  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1>)
+  target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1> $<$<CONFIG:Debug>:-O0>)
 endfunction()
 
 # terse_fuzzed(NAME): its code tells a fuzzer which branches an input took. Other programs can be linked to it all the same.

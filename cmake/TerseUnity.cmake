@@ -1,7 +1,7 @@
 # Several sources compiled as one: what they all instantiate of Eigen, CLI11 and JSON is compiled once. That takes half of
 # the time, and a fifth where the command is concerned; touching one source compiles its batch again, so who works on the
 # sources may want -D TERSE_UNITY=OFF. Names in anonymous namespaces have to differ within a batch, and from those of
-# headers: they would take their place without an error, as a Describe() once did in the Python package, which has none of this.
+# headers: they would take their place without an error, as a Describe() once did in the Python package.
 #
 # Where each source is to be seen for itself (ccache, clang-tidy, another build's part) it is off, as precompiled headers are.
 option(TERSE_UNITY "Compile several sources as one" ${TERSE_PCH})

@@ -81,11 +81,11 @@ void BindIncrementalOptions(py::module_& module) {
       .def(PickleOf<IncrementalOptions>("pickle IncrementalOptions"));
 }
 
-using Compact = py::class_<CompactSettings, std::shared_ptr<CompactSettings>>;
+using Settings = py::class_<CompactSettings, std::shared_ptr<CompactSettings>>;
 
 // A property of a member that both dimensions have, `member` being [](auto& options) -> auto& { ... }.
 template <class Member>
-void DefField(Compact& type, const char* name, const Member& member, const char* doc) {
+void DefField(Settings& type, const char* name, const Member& member, const char* doc) {
   using Value = std::decay_t<decltype(member(std::declval<CompactOptions<SE2>&>()))>;
   type.def_property(
       name, [member](CompactSettings& s) { return std::visit([&](auto& o) -> Value { return member(o); }, s.options); },
@@ -93,7 +93,7 @@ void DefField(Compact& type, const char* name, const Member& member, const char*
       doc);
 }
 template <class Member>
-void DefWordField(Compact& type, const char* name, const Member& member, const char* doc) {
+void DefWordField(Settings& type, const char* name, const Member& member, const char* doc) {
   using E = std::decay_t<decltype(member(std::declval<CompactOptions<SE2>&>()))>;
   type.def_property(
       name,
@@ -111,7 +111,7 @@ void SetVector(V& to, const Array& array, const std::string& what) {
   to = Eigen::Map<const V>(array.data());
 }
 
-void BindArrays(Compact& type) {
+void BindArrays(Settings& type) {
   type.def_property(
           "range",
           [](const CompactSettings& s) {
@@ -151,7 +151,7 @@ void BindArrays(Compact& type) {
           "(3,): the sensor's view direction in the body frame, in space. A copy.");
 }
 
-void BindSearch(Compact& type) {
+void BindSearch(Settings& type) {
   DefField(
       type, "probability", [](auto& o) -> auto& { return o.thresholds.probability; },
       "Every dimension must be in range with more than this.");
@@ -168,7 +168,7 @@ void BindSearch(Compact& type) {
       "best of the others too).");
 }
 
-void BindSelection(Compact& type) {
+void BindSelection(Settings& type) {
   DefField(
       type, "min_loop_gain", [](auto& o) -> auto& { return o.thresholds.min_loop_gain; },
       "A link is kept if it adds more, nats.");
@@ -216,8 +216,8 @@ void BindSelection(Compact& type) {
 }
 
 void BindCompactOptions(py::module_& module) {
-  Compact type(module, "CompactOptions",
-               "What compact pose SLAM keeps. Thresholds.options() fills it from a sample of a run.");
+  Settings type(module, "CompactOptions",
+                "What compact pose SLAM keeps. Thresholds.options() fills it from a sample of a run.");
   type.def(py::init([](int dimension, const py::kwargs& keywords) {
              const auto settings = ForDimension(dimension, [](auto origin) {
                return std::make_shared<CompactSettings>(CompactSettings{CompactOptions<decltype(origin)>()});

@@ -99,9 +99,9 @@ std::string Text(const Small& small) {
   });
 }
 
-using Type = py::class_<Small>;
+using SmallType = py::class_<Small>;
 
-void BindWhatIsLeft(Type& type) {
+void BindWhatIsLeft(SmallType& type) {
   type.def_property_readonly(
           "dimension", [](const Small& s) { return DimensionOf(s.result); }, "2 or 3.")
       .def_property_readonly("graph", Value([](const auto& r) { return Graph(r.graph); }),
@@ -118,7 +118,7 @@ void BindWhatIsLeft(Type& type) {
       .def("__repr__", &Text);
 }
 
-void BindLinks(Type& type) {
+void BindLinks(SmallType& type) {
   type.def_property_readonly("link_ids", EachLink<std::int64_t>([](const auto& link) { return link.id.value; }),
                              "(m,) int64: factor ids of the links that the budget was for, in order of arrival.")
       .def_property_readonly("link_from_ids", EachLink<std::int64_t>([](const auto& link) { return link.from.value; }),
@@ -143,7 +143,7 @@ void BindLinks(Type& type) {
                              "(d,): what each lost, nats: the divergence of the exact marginal from what replaced it.");
 }
 
-void BindFigures(Type& type) {
+void BindFigures(SmallType& type) {
   type.def_property_readonly(
           "expected_error", Value([](const auto& r) { return r.expected_error; }),
           "Root mean square position error over all poses after the best rigid alignment, metres, as "
@@ -163,7 +163,7 @@ void BindFigures(Type& type) {
 }  // namespace
 
 void BindSparsify(py::module_& module) {
-  Type type(module, "Sparsified", "A graph made small, and what that cost.");
+  SmallType type(module, "Sparsified", "A graph made small, and what that cost.");
   BindWhatIsLeft(type);
   BindLinks(type);
   BindFigures(type);

@@ -12,7 +12,7 @@
 namespace terse {
 namespace {
 
-AppearanceOptions SmallOptions() {
+AppearanceOptions SmallAppearance() {
   AppearanceOptions options;
   options.words = 150;
   options.most_trained = 1500;
@@ -44,7 +44,7 @@ class AppearanceSearchTest : public ::testing::Test {
 };
 
 TEST_F(AppearanceSearchTest, RanksThePlaceItselfFirst) {
-  AppearanceSearch search(descriptors_, SmallOptions());
+  AppearanceSearch search(descriptors_, SmallAppearance());
   EXPECT_EQ(search.Words(), 150);
   EXPECT_TRUE(search.Query(near_second_).empty());
   for (std::size_t k = 0; k < features_.size(); ++k) search.Add({static_cast<std::int64_t>(k)}, features_[k]);
@@ -65,7 +65,7 @@ TEST_F(AppearanceSearchTest, RanksThePlaceItselfFirst) {
 
 TEST_F(AppearanceSearchTest, RepeatsItself) {
   const auto answers = [&] {
-    AppearanceSearch search(descriptors_, SmallOptions());
+    AppearanceSearch search(descriptors_, SmallAppearance());
     for (std::size_t k = 0; k < features_.size(); ++k) search.Add({static_cast<std::int64_t>(k)}, features_[k]);
     return search.Query(near_second_);
   };
@@ -75,7 +75,7 @@ TEST_F(AppearanceSearchTest, RepeatsItself) {
 }
 
 TEST_F(AppearanceSearchTest, RefusesWhatMakesNoSense) {
-  AppearanceOptions options = SmallOptions();
+  AppearanceOptions options = SmallAppearance();
   EXPECT_THROW(AppearanceSearch(std::vector<BinaryDescriptor>(149), options), std::invalid_argument);
   options.words = 0;
   EXPECT_THROW(AppearanceSearch(descriptors_, options), std::invalid_argument);

@@ -24,7 +24,7 @@ namespace fs = std::filesystem;
 class AtomicFileTest : public ::testing::Test {
  protected:
   void SetUp() override {
-    folder_ = fs::path(testing::TempDir()) / ("terse_atomic_" + std::to_string(::getpid()));
+    folder_ = fs::path(::testing::TempDir()) / ("terse_atomic_" + std::to_string(::getpid()));
     fs::create_directories(folder_);
   }
   void TearDown() override { fs::remove_all(folder_); }

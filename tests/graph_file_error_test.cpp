@@ -203,8 +203,8 @@ TEST(GraphFileErrorTest, FilesThatAreNoGraphs) {
       {"parameters only", "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n", 1, {expected}},
       {"binary", Edge2("0", "1") + std::string("\0\1\2", 3), 2, {"binary"}},
   });
-  ExpectRefused(testing::TempDir(), 0, {"folder"});
-  ExpectRefused(testing::TempDir() + "terse_no_such_file.g2o", 0, {"does not exist"});
+  ExpectRefused(::testing::TempDir(), 0, {"folder"});
+  ExpectRefused(::testing::TempDir() + "terse_no_such_file.g2o", 0, {"does not exist"});
   const TestFile file("unreadable.g2o", Edge2("0", "1"));
   ::chmod(file.Path().c_str(), 0);
   if (std::ifstream(file.Path()).is_open()) return;  // root reads everything

@@ -15,7 +15,7 @@ class PositionStartTest : public ::testing::Test {};
 using Groups = ::testing::Types<SE2, SE3>;
 TYPED_TEST_SUITE(PositionStartTest, Groups);
 
-constexpr int kPoses = 1000, kFixes = 300;
+constexpr int kPosesOfDrive = 1000, kFixes = 300;
 constexpr double kDegree = M_PI / 180;
 
 // A winding road, a metre per pose; odometry with 3 cm and half a degree per step, systematic or at random, and fixes
@@ -28,7 +28,7 @@ struct StartDrive {
     Vector<B> sigma = Vector<B>::Constant(0.03);
     sigma.template tail<B - D>().setConstant(0.5 * kDegree);
     const typename Pose::Jacobian information = sigma.cwiseAbs2().cwiseInverse().asDiagonal();
-    for (int k = 0; k < kPoses; ++k) {
+    for (int k = 0; k < kPosesOfDrive; ++k) {
       typename Pose::Tangent step = Pose::Tangent::Zero();
       step[0] = 1;
       step[B - 1] = 0.05 * std::sin(0.02 * k);
@@ -42,7 +42,7 @@ struct StartDrive {
                                                information});
     }
     for (int f = 0; f < kFixes; ++f) {
-      const int k = f * (kPoses - 1) / (kFixes - 1);
+      const int k = f * (kPosesOfDrive - 1) / (kFixes - 1);
       const typename Pose::Position p = truth[std::size_t(k)].Translation() + testing::NormalVector<D>(rng);
       graph.AddFactor(PositionPriorFactor<Pose>{PoseId{k}, p, Matrix<D, D>::Identity()});
     }
@@ -79,8 +79,8 @@ TYPED_TEST(PositionStartTest, OptimisationConvergesFromTheComposedStart) {
 TYPED_TEST(PositionStartTest, TheLeastChi2Wins) {
   using Pose = TypeParam;
   const StartDrive<Pose> drive(3, true);
-  std::vector<int> order(kPoses);
-  for (int k = 0; k < kPoses; ++k) order[std::size_t(k)] = k;
+  std::vector<int> order(kPosesOfDrive);
+  for (int k = 0; k < kPosesOfDrive; ++k) order[std::size_t(k)] = k;
   std::vector<Pose> values = drive.truth;
   EXPECT_NE(internal::MoveToPositionPriors(drive.graph, order, values), internal::PositionStart::kPiecewise)
       << "the truth is smooth";

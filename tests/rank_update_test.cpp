@@ -20,7 +20,7 @@ using Method = typename BlockCholesky<B>::Method;
 
 // Well-conditioned blocks: what hangs on a single one of them keeps its digits.
 template <int B>
-LinearFactor<B> RandomFactor(Random& rng, int first, int second) {
+LinearFactor<B> MildFactor(Random& rng, int first, int second) {
   LinearFactor<B> f = testing::RandomFactor<B>(rng, first, second);
   f.A_first.diagonal().array() += 4;
   if (second >= 0) f.A_second.diagonal().array() -= 4;
@@ -45,8 +45,8 @@ typename BlockCholesky<B>::Changes Chain(Random& rng, int n) {
   typename BlockCholesky<B>::Changes changes;
   changes.new_variables = n;
   for (int v = 0; v < n; ++v) {
-    changes.added.push_back(RandomFactor<B>(rng, v, -1));
-    if (v > 0) changes.added.push_back(RandomFactor<B>(rng, v - 1, v));
+    changes.added.push_back(MildFactor<B>(rng, v, -1));
+    if (v > 0) changes.added.push_back(MildFactor<B>(rng, v - 1, v));
   }
   return changes;
 }
@@ -55,7 +55,7 @@ typename BlockCholesky<B>::Changes Chain(Random& rng, int n) {
 template <int B>
 void AddLink(Random& rng, int n, typename BlockCholesky<B>::Changes& changes) {
   const int i = Below(rng, n), j = Below(rng, n);
-  if (i != j) changes.added.push_back(RandomFactor<B>(rng, i, j));
+  if (i != j) changes.added.push_back(MildFactor<B>(rng, i, j));
 }
 
 // Additions only: leaves, chains of them, links between any, unary factors.
@@ -65,10 +65,10 @@ typename BlockCholesky<B>::Changes RandomAdditions(Random& rng, int n) {
   changes.new_variables = Below(rng, 3);
   for (int v = n; v < n + changes.new_variables; ++v) {
     const int to = rng() % 2 == 0 ? v - 1 : Below(rng, v);
-    changes.added.push_back(rng() % 2 == 0 ? RandomFactor<B>(rng, v, to) : RandomFactor<B>(rng, to, v));
+    changes.added.push_back(rng() % 2 == 0 ? MildFactor<B>(rng, v, to) : MildFactor<B>(rng, to, v));
   }
   if (rng() % 2 == 0) AddLink<B>(rng, n + changes.new_variables, changes);
-  if (rng() % 4 == 0) changes.added.push_back(RandomFactor<B>(rng, Below(rng, n), -1));
+  if (rng() % 4 == 0) changes.added.push_back(MildFactor<B>(rng, Below(rng, n), -1));
   return changes;
 }
 
@@ -112,8 +112,8 @@ TYPED_TEST(RankUpdate, LeavesAreAppendedAndChangeNothingAbove) {
   // Several at once, a chain among them, in either direction.
   typename TestFixture::Changes leaves;
   leaves.new_variables = 5;
-  leaves.added = {RandomFactor<B>(rng, 1, 5), RandomFactor<B>(rng, 6, 3), RandomFactor<B>(rng, 6, 7),
-                  RandomFactor<B>(rng, 8, 7), RandomFactor<B>(rng, 1, 9)};
+  leaves.added = {MildFactor<B>(rng, 1, 5), MildFactor<B>(rng, 6, 3), MildFactor<B>(rng, 6, 7),
+                  MildFactor<B>(rng, 8, 7), MildFactor<B>(rng, 1, 9)};
   const auto report = both.Apply(leaves);
   EXPECT_EQ(report.path, CholeskyPath::kAppended);
   EXPECT_EQ(report.fronts, 5);
@@ -130,14 +130,14 @@ TYPED_TEST(RankUpdate, LeavesAreAppendedAndChangeNothingAbove) {
     const int n = both.mirror.variables;
     typename TestFixture::Changes leaf;
     leaf.new_variables = 1;
-    leaf.added = {RandomFactor<B>(rng, n - 1, n)};
+    leaf.added = {MildFactor<B>(rng, n - 1, n)};
     EXPECT_EQ(both.Apply(leaf).path, CholeskyPath::kAppended);
   }
   for (const auto method : {Method<B>::kRankUpdateWherePossible, Method<B>::kRefactor}) {
     auto copy = both;
     copy.factor.SetMethod(method);
     typename TestFixture::Changes loop;
-    loop.added = {RandomFactor<B>(rng, 0, copy.mirror.variables - 1)};
+    loop.added = {MildFactor<B>(rng, 0, copy.mirror.variables - 1)};
     ASSERT_TRUE(copy.Apply(loop).ok);
     ExpectEqualsDense(copy.factor, copy.mirror);
     ExpectSoundTree(copy.factor);
@@ -153,9 +153,9 @@ TYPED_TEST(RankUpdate, OnlySingleWellConditionedFactorsAppend) {
     both.Apply(Chain<B>(rng, 4));
     typename TestFixture::Changes changes;
     changes.new_variables = 1;
-    changes.added = {RandomFactor<B>(rng, 2, 4)};
-    if (kind == 0) changes.added.push_back(RandomFactor<B>(rng, 0, 4));
-    if (kind == 1) changes.added.push_back(RandomFactor<B>(rng, 4, -1));
+    changes.added = {MildFactor<B>(rng, 2, 4)};
+    if (kind == 0) changes.added.push_back(MildFactor<B>(rng, 0, 4));
+    if (kind == 1) changes.added.push_back(MildFactor<B>(rng, 4, -1));
     if (kind == 2) changes.added[0].A_second.col(0) *= 1e-7;  // a direction that is hardly measured
     const auto report = both.Apply(changes);
     ASSERT_TRUE(report.ok);
@@ -192,7 +192,7 @@ TYPED_TEST(RankUpdate, WaitingCorrectionsReachWhateverComesNext) {
       for (const auto& [slot, f] : both.mirror.by_slot) {
         if (f.second < 0) continue;
         if (round % 2 == 0 && changes.replaced.empty() && rng() % 8 == 0) {
-          changes.replaced.emplace_back(slot, RandomFactor<B>(rng, f.first, f.second));
+          changes.replaced.emplace_back(slot, MildFactor<B>(rng, f.first, f.second));
         } else if (round % 2 == 1 && changes.removed.empty() && rng() % 8 == 0) {
           changes.removed.push_back(slot);
         }
@@ -221,18 +221,18 @@ TYPED_TEST(RankUpdate, FailureChangesNothingByAnyMethod) {
     const int n = both.mirror.variables;
     std::vector<typename TestFixture::Changes> bad(6);
     const double nan = std::numeric_limits<double>::quiet_NaN();
-    for (auto& changes : bad) changes.added.push_back(RandomFactor<B>(rng, 0, 5));
+    for (auto& changes : bad) changes.added.push_back(MildFactor<B>(rng, 0, 5));
     // Nothing measures it, or not all of it, or not with a finite residual.
     bad[0].new_variables = 1;
     bad[1].new_variables = 2;
-    bad[1].added.push_back(RandomFactor<B>(rng, n, n + 1));
+    bad[1].added.push_back(MildFactor<B>(rng, n, n + 1));
     bad[2].new_variables = 1;
-    bad[2].added.push_back(RandomFactor<B>(rng, 2, n));
+    bad[2].added.push_back(MildFactor<B>(rng, 2, n));
     bad[2].added.back().A_second.col(0).setZero();
-    bad[3].added.push_back(RandomFactor<B>(rng, 1, 6));
+    bad[3].added.push_back(MildFactor<B>(rng, 1, 6));
     bad[3].added.back().residual[1] = nan;
     bad[4].new_variables = 1;
-    bad[4].added = {RandomFactor<B>(rng, 2, n)};
+    bad[4].added = {MildFactor<B>(rng, 2, n)};
     bad[4].added.back().residual[0] = std::numeric_limits<double>::infinity();
     bad[5].added.back().A_first(0, 0) = nan;
     BlockCholesky<B> untouched = both.factor;
@@ -274,7 +274,7 @@ TYPED_TEST(RankUpdate, DeferredSubtreesReachTheExactSolution) {
       auto changes = RandomAdditions<B>(rng, both.mirror.variables);
       if (rng() % 4 == 0) {  // fronts that wait go, and others take their numbers
         const auto& [slot, f] = *std::next(both.mirror.by_slot.begin(), Below(rng, 20));
-        changes.replaced.emplace_back(slot, RandomFactor<B>(rng, f.first, f.second));
+        changes.replaced.emplace_back(slot, MildFactor<B>(rng, f.first, f.second));
       }
       ASSERT_TRUE(both.Apply(changes).ok);
       both.factor.Solve(0, past);
@@ -339,7 +339,7 @@ TYPED_TEST(RankUpdate, OrdersEverythingAgainWhenTheFillHasDrifted) {
   for (int v = 3; v < 130; ++v) {
     typename BlockCholesky<B>::Changes changes;
     changes.new_variables = 1;
-    changes.added = {RandomFactor<B>(rng, v - 1, v), RandomFactor<B>(rng, v - 2, v)};
+    changes.added = {MildFactor<B>(rng, v - 1, v), MildFactor<B>(rng, v - 2, v)};
     const auto report = mirrored.Apply(changes);
     if (report.path == CholeskyPath::kRefactored && report.variables == v + 1) ++ordered;
   }

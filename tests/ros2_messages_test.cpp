@@ -75,7 +75,7 @@ TEST(Ros2Messages, InThePlane) {
     EXPECT_NEAR(m[11], with_yaw.y(), scale);
     EXPECT_NEAR(m[30], with_yaw.x(), scale);
     EXPECT_NEAR(m[35], body(2, 2), scale);
-    for (const std::size_t zero : {2, 3, 4, 14, 21, 28, 33}) EXPECT_EQ(m[zero], 0);
+    for (const unsigned zero : {2U, 3U, 4U, 14U, 21U, 28U, 33U}) EXPECT_EQ(m[zero], 0);
   }
 }
 

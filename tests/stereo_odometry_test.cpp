@@ -56,10 +56,10 @@ StereoOdometryOptions SmallOptions() {
 }
 
 // Metres and radians.
-struct PoseError {
+struct MotionError {
   double translation, rotation;
 };
-PoseError Difference(const SE3& estimate, const SE3& truth) {
+MotionError Difference(const SE3& estimate, const SE3& truth) {
   const SE3 difference = truth.Inverse() * estimate;
   return {difference.Translation().norm(), difference.Angle()};
 }
@@ -100,7 +100,7 @@ TEST(StereoOdometry, FollowsACorridor) {
     const Vector<6> error = (step.T_previous_current.Inverse() * truth).Log();
     nees += error.dot(step.covariance.llt().solve(error)) / 6 / static_cast<double>(run.steps.size() - 1);
   }
-  const PoseError error = Difference(run.T_first_last, Truth(12));
+  const MotionError error = Difference(run.T_first_last, Truth(12));
   EXPECT_LT(error.translation, 0.01 * 12 * kStep);
   EXPECT_LT(error.rotation, 0.003);
   EXPECT_GT(nees, 0.1);
@@ -310,7 +310,7 @@ TEST(StereoOdometry, RealFramesOfKitti06) {
       length += T_before_k.Translation().norm();
     }
   }
-  const PoseError error = Difference(T_first_current, truth[first].Inverse() * truth[static_cast<size_t>(last)]);
+  const MotionError error = Difference(T_first_current, truth[first].Inverse() * truth[static_cast<size_t>(last)]);
   RecordProperty("translation_percent", std::to_string(100 * error.translation / length));
   RecordProperty("rotation_degrees", std::to_string(error.rotation * 180 / M_PI));
   EXPECT_LT(error.translation, (kSlowBuild ? 0.02 : 0.007) * length);

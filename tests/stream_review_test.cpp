@@ -401,7 +401,7 @@ TEST(StreamReview, AFileHoldsWhatALookBeganWith) {
   }
   Streamed<SE2> run(Settings<SE2>());
   run.stream = MeasurementStream<SE2>::Load(file.Path(), run.slam);
-  run.decisions.resize(run.slam.PosesSeen());
+  run.decisions.resize(size_t(run.slam.PosesSeen()));
   for (size_t k = begun + 16; k < measured.size(); ++k) run.Add(measured[k]);
   EXPECT_TRUE(Picture(run.slam) == Picture(straight.slam));
   EXPECT_EQ(run.made_again, straight.made_again);
