@@ -4,9 +4,9 @@
 #include <variant>
 
 #include "chains.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/definite.h"
 #include "terse/core/residual.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {

@@ -2,8 +2,8 @@
 
 #include <Eigen/Cholesky>
 
+#include "terse/core/decompositions.h"
 #include "terse/core/definite.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 

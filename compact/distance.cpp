@@ -6,7 +6,7 @@
 #include <limits>
 #include <utility>
 
-#include "terse/core/symmetric_eigen.h"
+#include "terse/core/decompositions.h"
 
 namespace terse {
 namespace {

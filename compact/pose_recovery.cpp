@@ -5,8 +5,8 @@
 #include <stdexcept>
 
 #include "terse/core/at.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/definite.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {

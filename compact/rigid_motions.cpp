@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "terse/core/symmetric_eigen.h"
+#include "terse/core/decompositions.h"
 
 namespace terse::internal {
 namespace {

@@ -12,10 +12,10 @@
 #include <utility>
 
 #include "terse/core/at.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/disjoint_sets.h"
 #include "terse/core/error.h"
 #include "terse/core/random.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {

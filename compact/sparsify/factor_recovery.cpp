@@ -8,8 +8,8 @@
 
 #include "terse/compact/log_determinant.h"
 #include "terse/core/at.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/definite.h"
-#include "terse/core/symmetric_eigen.h"
 #include "terse/lie/se2.h"
 #include "terse/lie/se3.h"
 

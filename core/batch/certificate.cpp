@@ -28,14 +28,8 @@ constexpr int kKrylov = 30, kMostRestarts = 1000;
 constexpr double kEigenTolerance = 1e-6;
 
 // Unknowns: the position of every pose but the first, which fixes where all lie, and D for its rotation.
-template <int D>
-int PositionAt(int pose) {
-  return pose * (D + 1) - 1;
-}
-template <int D>
-int RotationAt(int pose) {
-  return pose * (D + 1);
-}
+int PositionAt(int dimension, int pose) { return pose * (dimension + 1) - 1; }
+int RotationAt(int dimension, int pose) { return pose * (dimension + 1); }
 
 // M - Diag(Lambda), as it is at a critical point, and sum tr Lambda.
 template <class Pose>
@@ -68,8 +62,8 @@ CertificateMatrix<Pose> MakeMatrix(const std::vector<ChordalTerm<Pose>>& terms, 
     product[At(term.to)] += term.kappa * (R_j - R_i * term.R);
     // The same as the traces of the multipliers below, without the difference of large numbers.
     out.trace += term.kappa * (R_j - R_i * term.R).squaredNorm() - term.tau * term.t.dot(R_i.transpose() * p - term.t);
-    const int p_i = PositionAt<D>(term.from), p_j = PositionAt<D>(term.to);
-    const int r_i = RotationAt<D>(term.from), r_j = RotationAt<D>(term.to);
+    const int p_i = PositionAt(D, term.from), p_j = PositionAt(D, term.to);
+    const int r_i = RotationAt(D, term.from), r_j = RotationAt(D, term.to);
     add(p_i, p_i, term.tau);
     add(p_j, p_j, term.tau);
     if (p_i >= 0 && p_j >= 0) add(p_i, p_j, -term.tau);
@@ -83,7 +77,7 @@ CertificateMatrix<Pose> MakeMatrix(const std::vector<ChordalTerm<Pose>>& terms, 
     const Matrix<D, D> lambda = internal::RotationOf(T[At(v)]).transpose() * product[At(v)];
     const Matrix<D, D> block = diagonal[At(v)] - (lambda + lambda.transpose()) / 2;
     for (int k = 0; k < D; ++k) {
-      for (int l = 0; l <= k; ++l) add(RotationAt<D>(v) + k, RotationAt<D>(v) + l, block(k, l));
+      for (int l = 0; l <= k; ++l) add(RotationAt(D, v) + k, RotationAt(D, v) + l, block(k, l));
     }
   }
   const int size = poses * (D + 1) - 1;
@@ -92,49 +86,51 @@ CertificateMatrix<Pose> MakeMatrix(const std::vector<ChordalTerm<Pose>>& terms, 
   return out;
 }
 
-// The inverse of S + shift on the rotations, positions eliminated.
-template <int D>
+// The inverse of S + shift on the rotations, positions eliminated. Not a template of D: it takes long to compile.
 class ShiftedInverse {
  public:
   using Scalar = double;
-  explicit ShiftedInverse(const Sparse& S) : S_(S), poses_((static_cast<int>(S.rows()) + 1) / (D + 1)) {
+  ShiftedInverse(int dimension, const Sparse& S)
+      : dimension_(dimension), S_(S), poses_((static_cast<int>(S.rows()) + 1) / (dimension + 1)) {
     solver_.analyzePattern(S_);
   }
   // False if that is not positive definite.
   bool Factor(double shift) {
     Sparse shifted = S_;
     for (int v = 0; v < poses_; ++v) {
-      for (int k = 0; k < D; ++k) shifted.coeffRef(RotationAt<D>(v) + k, RotationAt<D>(v) + k) += shift;
+      for (int k = 0; k < dimension_; ++k) shifted.coeffRef(At(v, k), At(v, k)) += shift;
     }
     solver_.factorize(shifted);
     return solver_.info() == Eigen::Success;
   }
   // Names that Spectra asks for.
   // NOLINTBEGIN(readability-identifier-naming)
-  Eigen::Index rows() const { return poses_ * D; }
+  Eigen::Index rows() const { return poses_ * dimension_; }
   Eigen::Index cols() const { return rows(); }
   void set_shift(double) {}
   void perform_op(const double* x, double* y) const {
     Eigen::VectorXd b = Eigen::VectorXd::Zero(S_.rows());
     for (int v = 0; v < poses_; ++v) {
-      for (int k = 0; k < D; ++k) b[RotationAt<D>(v) + k] = x[v * D + k];
+      for (int k = 0; k < dimension_; ++k) b[At(v, k)] = x[v * dimension_ + k];
     }
     const Eigen::VectorXd solution = solver_.solve(b);
     for (int v = 0; v < poses_; ++v) {
-      for (int k = 0; k < D; ++k) y[v * D + k] = solution[RotationAt<D>(v) + k];
+      for (int k = 0; k < dimension_; ++k) y[v * dimension_ + k] = solution[At(v, k)];
     }
   }
   // NOLINTEND(readability-identifier-naming)
 
  private:
+  int At(int pose, int k) const { return RotationAt(dimension_, pose) + k; }
+
+  const int dimension_;
   const Sparse& S_;
   const int poses_;
   Eigen::SimplicialLLT<Sparse, Eigen::Lower> solver_;
 };
 
-template <int D>
-double SmallestEigenvalue(const Sparse& S) {
-  ShiftedInverse<D> inverse(S);
+double SmallestEigenvalue(int dimension, const Sparse& S) {
+  ShiftedInverse inverse(dimension, S);
   const double scale = S.diagonal().mean();
   double shift = kFirstShift * scale;
   while (!inverse.Factor(shift)) {
@@ -142,7 +138,7 @@ double SmallestEigenvalue(const Sparse& S) {
     if (shift > kLastShift * scale) throw NumericalError("the certificate's matrix is not finite");
   }
   const Eigen::Index krylov = std::min<Eigen::Index>(kKrylov, inverse.rows());
-  Spectra::SymEigsShiftSolver<ShiftedInverse<D>> eigen(inverse, 1, krylov, -shift);
+  Spectra::SymEigsShiftSolver<ShiftedInverse> eigen(inverse, 1, krylov, -shift);
   eigen.init();
   eigen.compute(Spectra::SortRule::LargestMagn, kMostRestarts, kEigenTolerance);
   if (eigen.info() != Spectra::CompInfo::Successful)
@@ -176,7 +172,7 @@ Certificate Certify(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_wor
     out.is_global = true;
     return out;
   }
-  out.smallest_eigenvalue = SmallestEigenvalue<Pose::kDim>(S);
+  out.smallest_eigenvalue = SmallestEigenvalue(Pose::kDim, S);
   const double rotations = static_cast<double>(Pose::kDim) * static_cast<double>(critical.size());
   const double below =
       out.smallest_eigenvalue < -kRoundingOfEigenvalues * S.diagonal().maxCoeff() ? out.smallest_eigenvalue : 0;

@@ -152,7 +152,7 @@ template <class Pose>
 std::optional<Pose> AlignToPositionPriors(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_old_body) {
   const PositionPairs<Pose::kDim> pairs = PairPositions(MeasurementsOf<Pose>(graph), T_old_body);
   if (!pairs.DetermineTurn()) return std::nullopt;
-  return pairs.template MotionWith<Pose>(ProjectToRotation<Pose::kDim>(pairs.C));
+  return pairs.template MotionWith<Pose>(pairs.svd.ClosestOrthogonal());
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                  \

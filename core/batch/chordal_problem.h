@@ -16,8 +16,6 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
-#include <Eigen/LU>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -25,6 +23,7 @@
 #include <vector>
 
 #include "batch/chordal_descent.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/definite.h"
 #include "terse/core/residual.h"
 
@@ -46,15 +45,6 @@ struct PriorAt {
 
 inline void Assign(SE2& T, const Block<2>& R, const Eigen::Vector2d& t) { T = SE2(t, std::atan2(R(1, 0), R(0, 0))); }
 inline void Assign(SE3& T, const Block<3>& R, const Eigen::Vector3d& t) { T = SE3(SO3::FromMatrix(R), t); }
-
-// The rotation closest to M in the Frobenius norm.
-template <int D>
-Block<D> ProjectToRotation(const Block<D>& M) {
-  const Eigen::JacobiSVD<Block<D>> svd(M, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Block<D> U = svd.matrixU();
-  if ((U * svd.matrixV().transpose()).determinant() < 0) U.col(D - 1) *= -1;
-  return U * svd.matrixV().transpose();
-}
 
 // The weight kappa of |R_j - R_i R_ij|^2, Frobenius. With R_j = R_i R_ij Exp(phi) it is 2 |phi|^2 to first order, so an
 // isotropic factor of variance s^2 per axis has kappa = 1 / (2 s^2). s^2 is the mean variance of phi, translation
@@ -94,7 +84,7 @@ void SolveRotations(const Measurements& measurements, int first, const Pose& T_w
     Block<D> R;
     R.template topRows<Unknown>() = X[k].transpose();
     if (D == 2) R.row(1) << -R(0, 1), R(0, 0);
-    Assign(values[k], ProjectToRotation<D>(R), Point<D>::Zero());
+    Assign(values[k], ClosestRotation<D>(R), Point<D>::Zero());
   }
 }
 
@@ -152,11 +142,11 @@ struct PositionPairs {
   Point<D> mean_old = Point<D>::Zero(), mean_new = Point<D>::Zero();
   Block<D> C = Block<D>::Zero();  // sum of centred new times old'
   double spread_old = 0, spread_new = 0;
-  Eigen::JacobiSVD<Block<D>> svd;  // of C
+  SingularValues<D> svd{Block<D>(Block<D>::Zero())};  // of C
 
   double Spread() const { return std::sqrt(spread_old * spread_new); }
   // The turn is determined if D - 1 singular values differ from zero.
-  bool DetermineTurn() const { return number > 0 && svd.singularValues()[D - 2] > 1e-9 * Spread(); }
+  bool DetermineTurn() const { return number > 0 && svd.values[D - 2] > 1e-9 * Spread(); }
   template <class Pose>
   Pose MotionWith(const Block<D>& R) const {
     Pose T_new_old;
@@ -184,7 +174,7 @@ PositionPairs<Pose::kDim> PairPositions(const Measurements& measurements, const 
     out.spread_old += (p_old - out.mean_old).squaredNorm();
     out.spread_new += (p_new - out.mean_new).squaredNorm();
   }
-  out.svd.compute(out.C, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  out.svd = SingularValues<D>(out.C);
   return out;
 }
 
@@ -196,10 +186,10 @@ Pose ClosestToPositionPriors(const Measurements& measurements, const std::vector
   const PositionPairs<D> pairs = PairPositions(measurements, T_old_body);
   Block<D> R = Block<D>::Identity();
   if (pairs.DetermineTurn()) {
-    R = ProjectToRotation<D>(pairs.C);
+    R = pairs.svd.ClosestOrthogonal();
   } else if constexpr (D == 3) {
-    if (pairs.svd.singularValues()[0] > 1e-9 * pairs.Spread()) {
-      const Point<3> along_old = pairs.svd.matrixV().col(0), along_new = pairs.svd.matrixU().col(0);
+    if (pairs.svd.values[0] > 1e-9 * pairs.Spread()) {
+      const Point<3> along_old = pairs.svd.V.col(0), along_new = pairs.svd.U.col(0);
       R = Eigen::Quaterniond::FromTwoVectors(along_old, along_new).toRotationMatrix();
     }
   }

@@ -9,8 +9,8 @@
 
 #include "terse/core/at.h"
 #include "terse/core/block_cholesky.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/pose_name.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse {
 namespace {

@@ -4,10 +4,10 @@
 #include <optional>
 
 #include "batch/chordal.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/frame_alignment.h"
 #include "terse/core/gauge.h"
 #include "terse/core/residual.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 namespace {

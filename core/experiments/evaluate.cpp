@@ -1,6 +1,5 @@
 #include "terse/core/evaluate.h"
 
-#include <Eigen/SVD>
 #include <algorithm>
 #include <array>
 #include <atomic>
@@ -8,6 +7,8 @@
 #include <stdexcept>
 #include <system_error>
 #include <thread>
+
+#include "terse/core/decompositions.h"
 
 namespace terse {
 namespace {
@@ -34,15 +35,10 @@ SE3 RelativeError(const SE3& T_world_ref_i, const SE3& T_world_ref_j, const SE3&
 
 // The rotation, of those allowed, that maximises trace(R^T C) with C = sum of reference * estimate^T.
 Matrix<3, 3> BestRotation(const Matrix<3, 3>& C, Alignment alignment) {
+  if (alignment != Alignment::kSE2) return ClosestRotation<3>(C);
+  const double theta = std::atan2(C(1, 0) - C(0, 1), C(0, 0) + C(1, 1));
   Matrix<3, 3> R = Matrix<3, 3>::Identity();
-  if (alignment == Alignment::kSE2) {
-    const double theta = std::atan2(C(1, 0) - C(0, 1), C(0, 0) + C(1, 1));
-    R.topLeftCorner<2, 2>() << std::cos(theta), -std::sin(theta), std::sin(theta), std::cos(theta);
-    return R;
-  }
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(C, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  const double sign = svd.matrixU().determinant() * svd.matrixV().determinant() < 0 ? -1 : 1;
-  R = svd.matrixU() * Eigen::Vector3d(1, 1, sign).asDiagonal() * svd.matrixV().transpose();
+  R.topLeftCorner<2, 2>() << std::cos(theta), -std::sin(theta), std::sin(theta), std::cos(theta);
   return R;
 }
 

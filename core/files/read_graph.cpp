@@ -3,8 +3,8 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 
+#include "terse/core/decompositions.h"
 #include "terse/core/pose_name.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse {
 namespace {

@@ -1,7 +1,6 @@
 #include "terse/core/trajectory.h"
 
 #include <Eigen/LU>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -10,6 +9,7 @@
 #include <utility>
 
 #include "terse/core/atomic_file.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/graph_file.h"
 #include "terse/core/number_text.h"
 #include "terse/core/pose_name.h"
@@ -73,8 +73,7 @@ SE3 KittiPose(const Fields& fields) {
   }
   if (R.determinant() < 0) throw fields.Error("the matrix is a reflection, expected a rotation");
   // Files have about seven digits: the nearest rotation in the Frobenius norm.
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(R, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  return SE3(SO3::FromMatrix(svd.matrixU() * svd.matrixV().transpose()), M.col(3));
+  return SE3(SO3::FromMatrix(ClosestRotation<3>(R)), M.col(3));
 }
 
 Trajectory ReadKitti(const std::string& path, const std::vector<TextLine>& lines) {

@@ -2,9 +2,9 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
-#include <Eigen/SVD>
 #include <cmath>
 
+#include "terse/core/decompositions.h"
 #include "terse/core/gauge.h"
 #include "terse/core/linear_factor.h"
 #include "terse/core/residual.h"
@@ -24,15 +24,6 @@ Block<SE2> RotationOf(const SE2& T) { return T.Rotation(); }
 Block<SE3> RotationOf(const SE3& T) { return T.Rotation().Rotation(); }
 SE2 Composed(const Block<SE2>& R, const SE2::Position& t) { return SE2(t, std::atan2(R(1, 0), R(0, 0))); }
 SE3 Composed(const Block<SE3>& R, const SE3::Position& t) { return SE3(SO3::FromMatrix(R), t); }
-
-// The rotation R with the largest tr(R' M).
-template <class Pose>
-Block<Pose> ClosestRotation(const Block<Pose>& M) {
-  const Eigen::JacobiSVD<Block<Pose>> svd(M, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Block<Pose> U = svd.matrixU();
-  if ((U * svd.matrixV().transpose()).determinant() < 0) U.col(Pose::kDim - 1) *= -1;
-  return U * svd.matrixV().transpose();
-}
 
 template <class Pose>
 using Measurements = std::vector<std::pair<Factor<Pose>, Pose>>;
@@ -141,7 +132,7 @@ Pose FitPoints(const WeightedPoints<Pose>& points, size_t first, size_t last, co
   for (size_t k = first; k < last; ++k) {
     M += points.weights[k] * (points.new_frame[k] - mean_new) * (points.old_frame[k] - mean_old).transpose();
   }
-  const Block<Pose> R = ClosestRotation<Pose>(M);
+  const Block<Pose> R = ClosestRotation<Pose::kDim>(M);
   return Composed(R, mean_new - R * mean_old);
 }
 

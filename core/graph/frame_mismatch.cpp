@@ -1,11 +1,12 @@
 #include "terse/core/frame_mismatch.h"
 
-#include <Eigen/SVD>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <locale>
 #include <sstream>
+
+#include "terse/core/decompositions.h"
 
 namespace terse {
 namespace {
@@ -25,10 +26,8 @@ struct Fit {
   double trace;
 };
 Fit BestFit(const Rotation& C, double sign) {
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(C, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  const double turn = sign * svd.matrixU().determinant() * svd.matrixV().determinant() < 0 ? -1 : 1;
-  const Eigen::Vector3d D(1, 1, turn);
-  return {svd.matrixU() * D.asDiagonal() * svd.matrixV().transpose(), svd.singularValues().dot(D)};
+  const Rotation R = SingularValues<3>(C).ClosestOrthogonal(sign);
+  return {R, (R.transpose() * C).trace()};
 }
 
 // Second moments of centred positions.
@@ -53,8 +52,8 @@ class Moments {
   double Similar(const Fit& fit) const { return Root(rr_ - fit.trace * fit.trace / ee_); }
   double Scale(const Fit& fit) const { return fit.trace / ee_; }
   bool IsBroad() const {
-    const Eigen::JacobiSVD<Eigen::Matrix3d> svd(spread_);
-    return ee_ > 0 && svd.singularValues()[1] > kLeastBreadth * kLeastBreadth * svd.singularValues()[0];
+    const Vector<3> squares = SymmetricEigenvalues<3>(spread_);
+    return ee_ > 0 && squares[1] > kLeastBreadth * kLeastBreadth * squares[2];
   }
   double Extent() const { return Root(rr_); }
 

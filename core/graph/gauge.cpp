@@ -4,7 +4,7 @@
 #include <locale>
 #include <sstream>
 
-#include "terse/core/symmetric_eigen.h"
+#include "terse/core/decompositions.h"
 
 namespace terse {
 namespace {

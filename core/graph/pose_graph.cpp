@@ -7,10 +7,10 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "terse/core/decompositions.h"
 #include "terse/core/definite.h"
 #include "terse/core/pose_name.h"
 #include "terse/core/residual.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse {
 

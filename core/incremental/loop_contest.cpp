@@ -6,8 +6,8 @@
 #include <limits>
 #include <utility>
 
+#include "terse/core/decompositions.h"
 #include "terse/core/robust.h"
-#include "terse/core/symmetric_eigen.h"
 
 namespace terse::internal {
 
