@@ -63,6 +63,14 @@ RobustOptions MapRobust(RobustOptions given, const CompactOptions<Pose>& options
 }
 
 template <class Pose>
+CompactOptions<Pose> OptionsFor(const RobustOptions& robust, const InformationCalibration& information,
+                                CompactOptions<Pose> options) {
+  if (!information.scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
+  options.solver.robust = MapRobust(robust, options);
+  return options;
+}
+
+template <class Pose>
 PoseGraph<Pose> MapGraph(const CompactPoseSlam<Pose>& slam, const std::vector<Pose>& T_world_body) {
   PoseGraph<Pose> graph = slam.Solver().Graph().WithPoses(T_world_body);
   for (const auto& node : slam.Solver().Graph().Factors()) {
@@ -86,19 +94,9 @@ CompactRun<Pose> CompactGraph(const PoseGraph<Pose>& graph, Strategy strategy, c
   CompactOptions<Pose> options;
   options.strategy = strategy;
   const InformationCalibration information = CalibrateInformation(graph);
-  if (!information.scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
-  options.solver.robust = MapRobust({DefaultKernel(strategy)}, options);
+  options = OptionsFor({DefaultKernel(strategy)}, information, std::move(options));
   LoopJury<Pose> jury(graph, information, options.solver.robust);
-  const auto run_once = [&] {
-    SampleThresholds(jury.Remaining(), options);
-    return CompactGraph(jury.Remaining(), options, after_step);
-  };
-  jury.JudgeAtFirst();
-  CompactRun<Pose> run = run_once();
-  if (jury.JudgeBy(run)) run = run_once();
-  run.loops_left_out = jury.LeftOut();
-  run.information_scale = jury.Scale();
-  return run;
+  return CompactGraph(jury, std::move(options), after_step);
 }
 
 template <class Pose>
@@ -118,6 +116,8 @@ SampledThresholds<Pose> SampleThresholds(const PoseGraph<Pose>& graph, CompactOp
   template std::vector<Decision> AddPoses<Pose>(CompactPoseSlam<Pose>&, const GraphReplay<Pose>&, const StepWatch&);   \
   template CompactRun<Pose> RunCompact<Pose>(CompactPoseSlam<Pose>, const GraphReplay<Pose>&, const AfterStep<Pose>&); \
   template RobustOptions MapRobust<Pose>(RobustOptions, const CompactOptions<Pose>&);                                  \
+  template CompactOptions<Pose> OptionsFor<Pose>(const RobustOptions&, const InformationCalibration&,                  \
+                                                 CompactOptions<Pose>);                                                \
   template PoseGraph<Pose> MapGraph<Pose>(const CompactPoseSlam<Pose>&, const std::vector<Pose>&);                     \
   template CompactRun<Pose> CompactGraph<Pose>(const PoseGraph<Pose>&, const CompactOptions<Pose>&,                    \
                                                const AfterStep<Pose>&);                                                \

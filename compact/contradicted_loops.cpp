@@ -6,6 +6,7 @@
 #include <string>
 #include <utility>
 
+#include "loops_of_run.h"
 #include "terse/core/chi_square.h"
 #include "terse/core/open_loops.h"
 #include "terse/core/residual.h"
@@ -18,6 +19,7 @@ namespace {
 constexpr int kLeastRefused = 3;
 constexpr std::size_t kLeastAlone = 50;
 constexpr double kDoubtfulShare = 0.01;
+constexpr double kChanceOfStrain = 0.05;
 // An explanation of so many times as many loops is better at any cost.
 constexpr double kManyMore = 1.05;
 // With so few loops, one through a kernel so many times as wide is looked at too.
@@ -54,8 +56,10 @@ class Judge {
   // k, the chi2 that counts as much as any larger one, is what one true loop in a hundred exceeds. Where information is
   // too cautious that is less than it says: the median of what gnc explains tells, and with more room a group of wrong
   // loops would be worth the odometry that they bend.
-  Judge(const PoseGraph<Pose>& graph, const BatchResult<Pose>& by_gnc)
+  // Whether `strained` ones are explained does not count, only what they cost.
+  Judge(const PoseGraph<Pose>& graph, const BatchResult<Pose>& by_gnc, const std::vector<FactorId>& strained)
       : graph_(graph), loops_(LoopFactors(graph)), left_out_(std::pow(by_gnc.robust_width, 2)) {
+    std::set_difference(loops_.begin(), loops_.end(), strained.begin(), strained.end(), std::back_inserter(counted_));
     std::vector<double> explained;
     for (const FactorId id : loops_) {
       const double chi2 = Chi2Of(graph.FindFactor(id)->factor, graph, by_gnc.T_world_body);
@@ -97,24 +101,30 @@ class Judge {
   bool IsBetterWithOpen(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
     return a.open_cost < b.open_cost && Explained(a) >= Explained(b);
   }
-  std::size_t Explained(const Explanation<Pose>& by) const { return loops_.size() - by.contradicted.size(); }
+  std::size_t Explained(const Explanation<Pose>& by) const {
+    return counted_.size() -
+           static_cast<std::size_t>(std::count_if(by.contradicted.begin(), by.contradicted.end(), [&](FactorId id) {
+             return std::binary_search(counted_.begin(), counted_.end(), id);
+           }));
+  }
 
  private:
   const PoseGraph<Pose>& graph_;
-  std::vector<FactorId> loops_;
+  std::vector<FactorId> loops_, counted_;  // ascending
   double left_out_, k_ = 0;
 };
 
 // ContradictedLoops, with the values that say so.
 template <class Pose>
-Explanation<Pose> BestExplanation(const PoseGraph<Pose>& graph, const std::vector<Pose>& first, BatchOptions options) {
+Explanation<Pose> BestExplanation(const PoseGraph<Pose>& graph, const std::vector<Pose>& first,
+                                  const std::vector<FactorId>& strained, BatchOptions options) {
   // The map's width, where it is open, leaves room for what a map with few links does not know.
   options.robust.quantile = RobustOptions().quantile;
   options.relative_tolerance = std::max(options.relative_tolerance, kTolerance);
   options.max_iterations = std::min(options.max_iterations, kMostIterations);
   const std::vector<FactorId> unsupported = internal::UnsupportedLoops(graph);
   const BatchResult<Pose> solved = SolveBatch(WithoutFactors(graph, unsupported), options);
-  const Judge<Pose> judge(graph, solved);
+  const Judge<Pose> judge(graph, solved, strained);
   BatchOptions next_to = options;
   next_to.robust.width = solved.robust_width;
   next_to.robust_factors = LoopFactors(graph);
@@ -158,6 +168,23 @@ long CountContradicted(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_
   });
 }
 
+// The ids that these factors have in a scaled graph.
+template <class Pose>
+std::vector<FactorId> PlacesOf(const PoseGraph<Pose>& graph, const std::vector<FactorId>& ids) {
+  std::vector<FactorId> places;
+  std::int64_t place = 0;
+  for (const auto& node : graph.Factors()) {
+    if (std::binary_search(ids.begin(), ids.end(), node.id)) places.push_back({place});
+    ++place;
+  }
+  return places;
+}
+
+template <class Count>
+std::string SoManyOf(Count some, long all) {
+  return std::to_string(some) + " of " + std::to_string(all) + " loops ";
+}
+
 // Of all poses, by their index in the graph.
 template <class Pose>
 std::vector<Pose> ValuesOf(const CompactPoseSlam<Pose>& slam, const PoseGraph<Pose>& graph) {
@@ -168,6 +195,21 @@ std::vector<Pose> ValuesOf(const CompactPoseSlam<Pose>& slam, const PoseGraph<Po
   return values;
 }
 
+// Loops of the graph that no other bears out and that the map believes although their innovation is one that of so many
+// true ones hardly any has.
+template <class Pose>
+std::vector<FactorId> StrainedLoops(const CompactRun<Pose>& run, const PoseGraph<Pose>& graph) {
+  if (run.links_offered == 0) return {};
+  const double limit = ChiSquareQuantile(1 - kChanceOfStrain / static_cast<double>(run.links_offered), Pose::kDof);
+  const std::vector<FactorId> believed =
+      LoopsOf(run, graph, [&](const Candidate& link) { return link.accepted && link.innovation.value_or(0) > limit; });
+  std::vector<FactorId> strained;
+  if (believed.empty()) return strained;
+  const std::vector<FactorId> alone = internal::UnsupportedLoops(graph);
+  std::set_intersection(believed.begin(), believed.end(), alone.begin(), alone.end(), std::back_inserter(strained));
+  return strained;
+}
+
 }  // namespace
 
 bool AreLoopsInDoubt(long refused, long offered) {
@@ -175,13 +217,8 @@ bool AreLoopsInDoubt(long refused, long offered) {
 }
 
 template <class Pose>
-bool AreLoopsInDoubt(const CompactRun<Pose>& run) {
-  return AreLoopsInDoubt(run.links_refused, run.links_offered);
-}
-
-template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options) {
-  return BestExplanation(graph, first, std::move(options)).contradicted;
+  return BestExplanation(graph, first, {}, std::move(options)).contradicted;
 }
 
 template <class Pose>
@@ -213,23 +250,44 @@ bool LoopJury<Pose>::JudgeAtFirst() {
 
 template <class Pose>
 bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
-  if (options_.robust.kernel != RobustKernel::kGnc || !AreLoopsInDoubt(run)) return false;
-  return Judge(
-      std::to_string(run.links_refused) + " of " + std::to_string(run.links_offered) + " loops contradict the map",
-      ValuesOf(run.slam, graph_));
+  if (options_.robust.kernel != RobustKernel::kGnc) return false;
+  if (AreLoopsInDoubt(run.links_refused, run.links_offered)) {
+    return JudgeBy(ValuesOf(run.slam, graph_), run.links_refused, run.links_offered);
+  }
+  const std::vector<FactorId> strained = StrainedLoops(run, graph_);
+  return !strained.empty() &&
+         Judge(SoManyOf(strained.size(), run.links_offered) + "bent the map as hardly one of them should",
+               ValuesOf(run.slam, graph_), strained);
 }
 
 template <class Pose>
-bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& first) {
+bool LoopJury<Pose>::JudgeBy(const std::vector<Pose>& T_world_body, long refused, long offered) {
+  return options_.robust.kernel == RobustKernel::kGnc && AreLoopsInDoubt(refused, offered) &&
+         Judge(SoManyOf(refused, offered) + "contradict the map", T_world_body);
+}
+
+template <class Pose>
+double LoopJury<Pose>::CostOf(const std::vector<Pose>& T_world_body) const {
+  const PoseGraph<Pose> as_shown = ScaleInformation(graph_, scale_.IsOne() ? without_caution_ : scale_);
+  const double width = std::sqrt(ChiSquareQuantile(RobustOptions().quantile, Pose::kDof));
+  return internal::TruncatedCost(as_shown, T_world_body, LoopFactors(as_shown), width);
+}
+
+template <class Pose>
+bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& first,
+                           const std::vector<FactorId>& strained) {
   if (on_judging) on_judging(why);
   const bool is_whole = left_out_.empty();  // what remains
   std::optional<PoseGraph<Pose>> scaled;
   if (!is_whole && !scale_.IsOne()) scaled = ScaleInformation(graph_, scale_);
-  Explanation<Pose> best = BestExplanation(is_whole ? Remaining() : scaled ? *scaled : graph_, first, options_);
   bool has_other_ids = !scale_.IsOne();  // a scaled graph numbers its factors by their place
+  Explanation<Pose> best = BestExplanation(is_whole ? Remaining()
+                                           : scaled ? *scaled
+                                                    : graph_,
+                                           first, has_other_ids ? PlacesOf(graph_, strained) : strained, options_);
   if (scale_.IsOne() && !without_caution_.IsOne()) {
     const PoseGraph<Pose> strict = ScaleInformation(graph_, without_caution_);
-    Explanation<Pose> stricter = BestExplanation(strict, first, options_);
+    Explanation<Pose> stricter = BestExplanation(strict, first, PlacesOf(graph_, strained), options_);
     const auto contradicted = [&](const Explanation<Pose>& by) {
       return CountContradicted(strict, by.T_world_body, stricter.left_out);
     };
@@ -251,11 +309,25 @@ bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& firs
   return true;
 }
 
+template <class Pose>
+CompactRun<Pose> CompactGraph(LoopJury<Pose>& jury, CompactOptions<Pose> options, const AfterStep<Pose>& after_step) {
+  const auto run_once = [&] {
+    SampleThresholds(jury.Remaining(), options);
+    return CompactGraph(jury.Remaining(), options, after_step);
+  };
+  jury.JudgeAtFirst();
+  CompactRun<Pose> run = run_once();
+  if (jury.JudgeBy(run)) run = run_once();
+  run.loops_left_out = jury.LeftOut();
+  run.information_scale = jury.Scale();
+  return run;
+}
+
 #define TERSE_INSTANTIATE(Pose)                                                                                    \
   template std::string WhyLoopsAreInDoubt<Pose>(const PoseGraph<Pose>&);                                           \
-  template bool AreLoopsInDoubt<Pose>(const CompactRun<Pose>&);                                                    \
   template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, std::vector<Pose>, BatchOptions); \
-  template class LoopJury<Pose>;
+  template class LoopJury<Pose>;                                                                                   \
+  template CompactRun<Pose> CompactGraph<Pose>(LoopJury<Pose>&, CompactOptions<Pose>, const AfterStep<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)
 #undef TERSE_INSTANTIATE

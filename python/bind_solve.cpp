@@ -6,6 +6,7 @@
 #include "names.h"
 #include "pickling.h"
 #include "state_members.h"
+#include "terse/compact/judged_solve.h"
 #include "terse/core/elimination_order.h"
 #include "terse/core/start_values.h"
 #include "values.h"
@@ -50,7 +51,7 @@ Solution Solve(const Graph& graph, const py::object& initial, const std::string&
       [&](const auto& g) {
         const auto start = InitialFrom(g, initial, options);
         const py::gil_scoped_release release;
-        return MakeSolution(SolveBatch(g, start, options), shared);
+        return MakeSolution(JudgedAgain(g, SolveBatch(g, start, options), options), shared);
       },
       *shared);
 }
@@ -212,7 +213,9 @@ void BindSolve(py::module_& module) {
       "robust: the cost of loops, which may be wrong: 'none', 'huber', 'cauchy', 'tukey', 'dcs' or 'gnc'; "
       "robust_width: "
       "where it sets in, in standard deviations, 0 for what one true loop in a hundred exceeds, with gnc less where "
-      "loops agree better than their information says.\n"
+      "loops agree better than their information says. With gnc, where many loops are rejected and residuals "
+      "contradict "
+      "the information, loops are judged once more by what residuals show.\n"
       "threads: at most; the result is the same for any number.\n"
       "progress: called with (iteration, chi2) after every iteration; it returns False to stop.\n"
       "What is numerical is reported, not raised: look at converged. Without the GIL; Ctrl-C works.");

@@ -13,6 +13,7 @@
 #include "run/standard_output.h"
 #include "run/step_covariances.h"
 #include "terse/compact/json_file.h"
+#include "terse/compact/judged_solve.h"
 #include "terse/core/atomic_file.h"
 #include "terse/core/certificate.h"
 #include "terse/core/error.h"
@@ -81,6 +82,17 @@ IncrementalOptions StepOptions(const SolveOptions& options) {
 }
 
 template <class Pose>
+BatchResult<Pose> JudgeLoops(const PoseGraph<Pose>& graph, BatchResult<Pose> result, const BatchOptions& batch,
+                             const SolveOptions& options, Stats& stats) {
+  return JudgedAgain<Pose>(graph, std::move(result), batch, [&](const std::string& why) {
+    stats.more["judged_again"] = why;
+    if (options.quiet) return;
+    std::cerr << "terse: note: " << why
+              << ", and residuals contradict the information: loops are judged by what residuals show\n";
+  });
+}
+
+template <class Pose>
 BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
   const double start = SecondsNow();
   BatchProgress progress(options.quiet);
@@ -94,7 +106,7 @@ BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& opt
   };
   batch.factor_progress = [&](double share) { progress.UpdateFactor(share); };
   const std::vector<Pose> initial = StartValues(graph, options.initial, batch, stats.more);
-  BatchResult<Pose> result = SolveBatch(graph, initial, batch);
+  BatchResult<Pose> result = JudgeLoops(graph, SolveBatch(graph, initial, batch), batch, options, stats);
   stats.step_seconds.push_back(SecondsNow() - start);
   return result;
 }
@@ -144,6 +156,8 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
   BatchResult<Pose> result = solver.Finish(finish);
   stats.more["restarts"] = solver.Restarts();
   OrderAsIn(graph, options.every, solver.Graph(), result);
+  finish.robust = options.robust;
+  result = JudgeLoops(graph, std::move(result), finish, options, stats);
   for (const auto phase :
        {&PhaseSeconds::order, &PhaseSeconds::linearise, &PhaseSeconds::factor, &PhaseSeconds::solve}) {
     result.seconds.*phase += solver.Seconds().*phase;

@@ -59,6 +59,12 @@ RobustKernel DefaultKernel(Strategy strategy);
 template <class Pose>
 RobustOptions MapRobust(RobustOptions given, const CompactOptions<Pose>& options);
 
+// As the commands have them where information was calibrated: the kernel of MapRobust and, if it is scaled, the test's
+// limit for that.
+template <class Pose>
+CompactOptions<Pose> OptionsFor(const RobustOptions& robust, const InformationCalibration& information,
+                                CompactOptions<Pose> options = {});
+
 // The kept map as a graph, at these values by pose index, without what a kernel leaves out.
 template <class Pose>
 PoseGraph<Pose> MapGraph(const CompactPoseSlam<Pose>& slam, const std::vector<Pose>& T_world_body);

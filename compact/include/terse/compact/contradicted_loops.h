@@ -21,8 +21,6 @@ namespace terse {
 // that refuse more than two none refuses over one in 160 (but sphere_bignoise's, which is lost); a tenth of wrong ones
 // makes it one in fifteen, or, where most are never looked at, one in sixty with half of them wrong (parking-garage).
 bool AreLoopsInDoubt(long refused, long offered);
-template <class Pose>
-bool AreLoopsInDoubt(const CompactRun<Pose>& run);
 
 // Before there is a map: fifty loops, and more than one in ten, have no other that bears them out (two that agree over
 // the odometry between their ends), odometry alone contradicts them more than it contradicts the others or they are
@@ -52,6 +50,8 @@ std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vecto
 //     jury.JudgeAtFirst();
 //     auto run = CompactGraph(jury.Remaining(), options);
 //     if (jury.JudgeBy(run)) run = CompactGraph(jury.Remaining(), options);
+//
+// or CompactGraph(jury, options), which does that.
 template <class Pose>
 class LoopJury {
  public:
@@ -67,16 +67,22 @@ class LoopJury {
 
   // Before there is a map, if loops are in doubt. True if some are left out now.
   bool JudgeAtFirst();
-  // By a map of what remains, if its loops are in doubt. True if others are left out now, so that it is to be made
-  // anew.
+  // By a map of what remains, if its loops are in doubt, or if it believes some that no other bears out, with an
+  // innovation that hardly any of so many true ones has (one run in twenty has such a loop). Where loops are few no
+  // other contradicts a wrong one that odometry just allows; so these have to be worth what they cost, and that an
+  // explanation holds them is no merit of it. True if others are left out now, so that it is to be made anew.
   bool JudgeBy(const CompactRun<Pose>& run);
+  // By a map of all poses of the graph, by pose index, that refused so many of so many loops.
+  bool JudgeBy(const std::vector<Pose>& T_world_body, long refused, long offered);
+  // Of such values by truncated least squares, with the information as residuals show it.
+  double CostOf(const std::vector<Pose>& T_world_body) const;
   const std::vector<FactorId>& LeftOut() const { return left_out_; }  // of the graph, ascending
   // Scaled, without those that are left out. The graph itself where neither is so.
   const PoseGraph<Pose>& Remaining() const { return remaining_ ? *remaining_ : graph_; }
   const InformationScale& Scale() const { return scale_; }  // of what remains
 
  private:
-  bool Judge(const std::string& why, const std::vector<Pose>& first);
+  bool Judge(const std::string& why, const std::vector<Pose>& first, const std::vector<FactorId>& strained = {});
   const PoseGraph<Pose>& graph_;
   InformationScale scale_;
   InformationScale without_caution_;  // for judging, where scale_ is one
@@ -84,5 +90,11 @@ class LoopJury {
   std::vector<FactorId> left_out_;
   std::optional<PoseGraph<Pose>> remaining_;  // if it is not the graph
 };
+
+// With thresholds from a sample of what the jury leaves, before and, if it judges by it, after a first map:
+// `after_step` hears of every pose twice then.
+template <class Pose>
+CompactRun<Pose> CompactGraph(LoopJury<Pose>& jury, CompactOptions<Pose> options,
+                              const AfterStep<Pose>& after_step = nullptr);
 
 }  // namespace terse
