@@ -265,6 +265,39 @@ TEST_F(GraphFiles, ImplausibleInformationIsScaled) {
   }
 }
 
+// What a method has to beat. With nothing wrong they are the optimum, so that the others' clean run is theirs too.
+TEST_F(GraphFiles, ChanceAndOdometryKnowNothing) {
+  const auto scene = testing::MakeScene<SE2>(Scene::kManhattan, 400);
+  const std::string path = (folder_ / "city.g2o").string();
+  WriteG2o(scene.graph, path);
+  OutlierTableOptions options;
+  options.methods = {"batch-none", "chance", "odometry"};
+  options.kinds = {OutlierKind::kRandom};
+  options.percents = {30};
+  options.seeds = 3;
+  options.quiet = true;
+  Progress progress("", 1, true);
+  long done = 0;
+  const OutlierGraph out = RunOutlierTable({"city", path}, folder_.string(), options, {}, progress, done);
+  ASSERT_EQ(out.runs.size(), 12u);
+  std::vector<double> clean;
+  for (const OutlierRun& run : out.runs) {
+    EXPECT_EQ(run.failure, "");
+    const LoopCounts& loops = run.loops;
+    if (!run.kind) {
+      EXPECT_EQ(loops.true_kept, loops.true_loops);
+      clean.push_back(run.ate);
+    } else if (run.method == "odometry") {
+      EXPECT_EQ(loops.true_kept + loops.wrong_kept, 0);
+    } else if (run.method == "chance") {
+      EXPECT_NEAR(run.precision, 0.7, 0.1);
+      EXPECT_NEAR(run.recall, 0.7, 0.1);
+      EXPECT_FALSE(run.success);
+    }
+  }
+  EXPECT_EQ(clean, std::vector<double>(3, clean.front()));
+}
+
 TEST_F(GraphFiles, RunLogGivesBackWhatItWasTold) {
   const std::string path = (folder_ / "runs.jsonl").string();
   OutlierGraph graph;

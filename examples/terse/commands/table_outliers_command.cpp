@@ -108,9 +108,11 @@ void AddGridOptions(CLI::App& command, TableOutliersOptions& options) {
   names.clear();
   for (const OutlierMethod& method : OutlierMethods()) names.push_back(method.name);
   command
-      .add_option("--methods", table.methods,
-                  "batch and incremental with a robust kernel, the latter after its last step or brought to the "
-                  "optimum (finish); compact with its defaults (gnc) or --robust none, the same with --strategy fpfl")
+      .add_option(
+          "--methods", table.methods,
+          "batch and incremental with a robust kernel, the latter after its last step or brought to the "
+          "optimum (finish); compact with its defaults (gnc) or --robust none, the same with --strategy fpfl; to be "
+          "beaten: the optimum with loops kept by chance, or with odometry alone")
       ->check(OneOf(names))
       ->delimiter(',')
       ->type_name("METHOD,...")

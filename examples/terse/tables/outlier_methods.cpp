@@ -1,6 +1,9 @@
 #include "tables/outlier_methods.h"
 
+#include <algorithm>
+#include <cmath>
 #include <map>
+#include <random>
 #include <stdexcept>
 
 #include "run/run_statistics.h"
@@ -39,6 +42,8 @@ class MethodRun {
       case OutlierMethod::Mode::kBatch: Batch(); break;
       case OutlierMethod::Mode::kIncremental: Incremental(); break;
       case OutlierMethod::Mode::kCompact: Compact(); break;
+      case OutlierMethod::Mode::kChance:
+      case OutlierMethod::Mode::kOdometry: WithoutJudgement(); break;
     }
     return std::move(out_);
   }
@@ -81,24 +86,37 @@ class MethodRun {
     out_.loops = CountLoops(solver.Graph(), with_.wrong, [&](std::size_t, FactorId id) { return solver.WeightOf(id); });
   }
 
+  void WithoutJudgement() {
+    std::vector<FactorId> left_out;
+    if (!with_.wrong.empty()) {
+      const std::vector<FactorId> loops = LoopFactors(with_.graph);
+      const double wrong = static_cast<double>(with_.wrong.size()) / static_cast<double>(loops.size());
+      std::mt19937_64 random(with_.seed);
+      for (const FactorId id : loops) {
+        const bool is_drawn = std::ldexp(static_cast<double>(random() >> 11), -53) < wrong;
+        if (is_drawn || method_.mode == OutlierMethod::Mode::kOdometry) left_out.push_back(id);
+      }
+    }
+    BatchOptions options;
+    options.progress = [this](int, double) { return !limit_.IsOver(); };
+    const BatchResult<Pose> result = SolveBatch(WithoutFactors(with_.graph, left_out), options);
+    limit_.Check();
+    TakeTrajectory(AsTrajectory(with_.graph, result.T_world_body));
+    out_.loops = CountLoops(with_.graph, with_.wrong, [&](std::size_t, FactorId id) {
+      return std::binary_search(left_out.begin(), left_out.end(), id) ? 0 : 1;
+    });
+  }
+
   CompactRun<Pose> MakeCompactRun() const {
     const AfterStep<Pose> watch = [this](const CompactPoseSlam<Pose>&, const Decision&, double) { limit_.Check(); };
     CompactOptions<Pose> options;
     options.strategy = method_.strategy.value_or(options.strategy);
     const InformationCalibration information = CalibrateInformation(with_.graph);
-    if (!information.scale.IsOne()) options.innovation_quantile = kInnovationQuantileOfScaled;
-    options.solver.robust = MapRobust(Robust(), options);
+    options = OptionsFor(Robust(), information, std::move(options));
     BatchOptions batch;
     batch.progress = [this](int, double) { return !limit_.IsOver(); };
     LoopJury<Pose> jury(with_.graph, information, options.solver.robust, batch);
-    const auto run_once = [&] {
-      limit_.Check();
-      SampleThresholds(jury.Remaining(), options);
-      return CompactGraph(jury.Remaining(), options, watch);
-    };
-    jury.JudgeAtFirst();
-    CompactRun<Pose> run = run_once();
-    return jury.JudgeBy(run) ? run_once() : std::move(run);
+    return CompactGraph(jury, std::move(options), watch);
   }
 
   void Compact() {
@@ -149,6 +167,8 @@ const std::vector<OutlierMethod>& OutlierMethods() {
     out.push_back({"compact-none", Mode::kCompact, RobustKernel::kNone});
     out.push_back({"compact-fpfl", Mode::kCompact, RobustKernel::kGnc, false, Strategy::kFpfl});
     out.push_back({"compact-fpfl-none", Mode::kCompact, RobustKernel::kNone, false, Strategy::kFpfl});
+    out.push_back({"chance", Mode::kChance});
+    out.push_back({"odometry", Mode::kOdometry});
     return out;
   }();
   return methods;

@@ -13,8 +13,10 @@ namespace terse {
 
 struct OutlierMethod {
   // kIncremental: pose by pose; the map is that after the last step, unless `finish`. kCompact: as `terse compact` does
-  // it, information calibrated and thresholds chosen from the very graph.
-  enum class Mode { kBatch, kIncremental, kCompact };
+  // it, information calibrated and thresholds chosen from the very graph. kChance, kOdometry: what a method has to
+  // beat, the optimum with each loop kept by chance, as probably as one of them is true, or with none; of a clean graph
+  // with all.
+  enum class Mode { kBatch, kIncremental, kCompact, kChance, kOdometry };
   std::string name;
   Mode mode = Mode::kBatch;
   RobustKernel kernel = RobustKernel::kNone;
@@ -22,7 +24,8 @@ struct OutlierMethod {
   std::optional<Strategy> strategy = {};  // kCompact; absent: the default's
 };
 
-// batch-KERNEL, incremental-KERNEL for every kernel, incremental-gnc-finish, compact and variants of it.
+// batch-KERNEL, incremental-KERNEL for every kernel, incremental-gnc-finish, compact and variants of it, chance and
+// odometry.
 const std::vector<OutlierMethod>& OutlierMethods();
 // Throws std::invalid_argument if there is none of this name.
 const OutlierMethod& OutlierMethodOf(const std::string& name);
@@ -31,7 +34,7 @@ struct OutlierMap {
   LoopCounts loops;
   double ate = 0;                    // metres, to the scene's reference
   double seconds = 0;                // all of it
-  std::vector<double> step_seconds;  // one per pose; empty for kBatch
+  std::vector<double> step_seconds;  // one per pose; empty but for kIncremental and kCompact
 };
 
 // Compact maps believe a loop that they accepted and, where it still is a factor or a part of one, weigh with at least

@@ -2,6 +2,7 @@
 // Graphs with wrong loops, and what a map made of them: its error and which loops it believes.
 
 #include <algorithm>
+#include <cstdint>
 #include <set>
 #include <string>
 #include <utility>
@@ -21,6 +22,7 @@ struct Contaminated {
   double percent = 0;
   PoseGraph<Pose> graph;
   std::set<PosePair> wrong;
+  std::uint64_t seed = 0;
 };
 
 // A clean graph and the poses that its maps are compared with, which wrong loops are drawn against too.
@@ -33,7 +35,7 @@ struct OutlierScene {
 
   // `percent` of the number of true loops, as AddWrongLoops has it.
   Contaminated<Pose> With(double percent, std::uint64_t seed, OutlierKind kind = OutlierKind::kRandom) const {
-    Contaminated<Pose> out{percent, graph, {}};
+    Contaminated<Pose> out{percent, graph, {}, seed};
     if (percent == 0) return out;
     auto added = AddWrongLoops(graph, reference.T_world_body, percent, seed, kind);
     for (const FactorId id : added.wrong) {

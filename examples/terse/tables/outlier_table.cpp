@@ -152,7 +152,7 @@ class GraphRuns {
       // That many of the true ones are so many of all.
       const double of_true = 100 * run.percent / (100 - run.percent);
       const Contaminated<Pose> with =
-          run.kind ? scene_.With(of_true, run.seed, *run.kind) : Contaminated<Pose>{0, scene_.graph, {}};
+          run.kind ? scene_.With(of_true, run.seed, *run.kind) : Contaminated<Pose>{0, scene_.graph, {}, 0};
       const OutlierMap map = RunOutlierMethod(OutlierMethodOf(run.method), scene_, with, options_.most_seconds);
       run.loops = map.loops;
       run.ate = map.ate;
