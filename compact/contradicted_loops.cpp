@@ -8,6 +8,7 @@
 
 #include "loops_of_run.h"
 #include "terse/core/chi_square.h"
+#include "terse/core/loop_groups.h"
 #include "terse/core/open_loops.h"
 #include "terse/core/residual.h"
 #include "terse/core/robust.h"
@@ -60,6 +61,17 @@ class Judge {
   Judge(const PoseGraph<Pose>& graph, const BatchResult<Pose>& by_gnc, const std::vector<FactorId>& strained)
       : graph_(graph), loops_(LoopFactors(graph)), left_out_(std::pow(by_gnc.robust_width, 2)) {
     std::set_difference(loops_.begin(), loops_.end(), strained.begin(), strained.end(), std::back_inserter(counted_));
+    const std::vector<int> place = internal::PlacesInArrival(graph);
+    std::vector<std::pair<int, int>> places;
+    for (const FactorId id : loops_) {
+      const FactorPoses ends = PosesOf(graph.FindFactor(id)->factor);
+      const auto of = [&](PoseId pose) { return place[static_cast<std::size_t>(graph.IndexOf(pose))]; };
+      places.push_back(std::minmax({of(ends.first), of(ends.second)}));
+    }
+    share_of_group_.resize(loops_.size());
+    for (const auto& group : internal::GroupLoops(places)) {
+      for (const std::size_t k : group) share_of_group_[k] = 1 / static_cast<double>(group.size());
+    }
     std::vector<double> explained;
     for (const FactorId id : loops_) {
       const double chi2 = Chi2Of(graph.FindFactor(id)->factor, graph, by_gnc.T_world_body);
@@ -90,8 +102,10 @@ class Judge {
     return out;
   }
   std::size_t Loops() const { return loops_.size(); }
+  // Of loops, and of places that they join: wrong ones that agree with each other are many, but of one place.
   bool ExplainsManyMore(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
-    return static_cast<double>(Explained(a)) > kManyMore * static_cast<double>(Explained(b));
+    return static_cast<double>(Explained(a)) > kManyMore * static_cast<double>(Explained(b)) &&
+           ExplainedGroups(a) > kManyMore * ExplainedGroups(b);
   }
   // Cheaper, and of as many loops, or of many more: with little information on loops either alone is misleading.
   bool IsBetter(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
@@ -109,8 +123,19 @@ class Judge {
   }
 
  private:
+  // Of a group the share of its loops.
+  double ExplainedGroups(const Explanation<Pose>& by) const {
+    double sum = 0;
+    for (std::size_t k = 0; k < loops_.size(); ++k) {
+      const bool is_out = std::binary_search(by.contradicted.begin(), by.contradicted.end(), loops_[k]);
+      if (!is_out && std::binary_search(counted_.begin(), counted_.end(), loops_[k])) sum += share_of_group_[k];
+    }
+    return sum;
+  }
+
   const PoseGraph<Pose>& graph_;
   std::vector<FactorId> loops_, counted_;  // ascending
+  std::vector<double> share_of_group_;     // of each loop
   double left_out_, k_ = 0;
 };
 

@@ -137,6 +137,17 @@ TEST(CompactWrongLoops, TrueLoopsInTheTailAreNotGivenUp) {
   EXPECT_GE(out.size(), wrong.size() - 1);
 }
 
+// Six wrong loops from one place to one other are more than two true ones that they rule out, but one place: the map
+// was 6.8 m off with them.
+TEST(CompactWrongLoops, AGroupIsOnePlaceHoweverManyItsLoops) {
+  TERSE_NEEDS(path, "graphs/igg_spo/MIT-P.g2o");
+  const PoseGraph<SE2> graph = ReadPoseGraph<SE2>(path);
+  auto with = AddWrongLoops(graph, SolveBatch(graph).T_world_body, 43, 20262, OutlierKind::kGrouped);
+  ASSERT_EQ(with.wrong.size(), 9u);
+  std::sort(with.wrong.begin(), with.wrong.end());
+  EXPECT_EQ(CompactGraph(with.graph).loops_left_out, with.wrong);
+}
+
 // A group of wrong loops that bends the map by 9 m and that its cautious information hardly contradicts, and a lost map
 // that leaves no more loops unexplained than the true one (331 m).
 TEST(CompactWrongLoops, NotTheNumberOfExplainedLoopsAloneDecides) {

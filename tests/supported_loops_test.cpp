@@ -5,7 +5,10 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cstdlib>
+#include <set>
 
+#include "terse/core/loop_groups.h"
 #include "terse/core/outliers.h"
 #include "terse/core/robust.h"
 #include "testing_scene.h"
@@ -93,6 +96,42 @@ TEST(SupportedLoops, RandomWrongOnesHaveNone) {
   for (const std::uint64_t seed : testing::Seeds(601, 603)) {
     ExpectRandomOnesFound<SE2>(Scene::kManhattan, 1500, seed);
     ExpectRandomOnesFound<SE3>(Scene::kSphere, 900, seed);
+  }
+}
+
+// Components of the graph of loops that are near at both ends, by comparing all with all.
+TEST(LoopGroups, AreTheComponentsOfNearness) {
+  for (const std::uint64_t seed : testing::Seeds(1, 5)) {
+    testing::Random rng(seed);
+    std::vector<std::pair<int, int>> places;
+    for (int k = 0; k < 150; ++k) {
+      const int first = static_cast<int>(rng() % 200);
+      places.emplace_back(first, first + 2 + static_cast<int>(rng() % 200));
+    }
+    const auto are_near = [&](std::size_t a, std::size_t b) {
+      return std::abs(places[a].first - places[b].first) <= 10 && std::abs(places[a].second - places[b].second) <= 10;
+    };
+    std::vector<std::size_t> group(places.size());
+    for (std::size_t k = 0; k < group.size(); ++k) group[k] = k;
+    for (bool changed = true; changed;) {  // the smallest index of the component reaches all of it
+      changed = false;
+      for (std::size_t a = 0; a < group.size(); ++a) {
+        for (std::size_t b = 0; b < group.size(); ++b) {
+          if (!are_near(a, b) || group[a] <= group[b]) continue;
+          group[a] = group[b];
+          changed = true;
+        }
+      }
+    }
+    const auto found = internal::GroupLoops(places);
+    std::size_t loops = 0;
+    for (const auto& members : found) {
+      loops += members.size();
+      EXPECT_TRUE(std::is_sorted(members.begin(), members.end()));
+      for (const std::size_t k : members) EXPECT_EQ(group[k], group[members.front()]) << seed;
+    }
+    EXPECT_EQ(loops, places.size());
+    EXPECT_EQ(found.size(), std::set<std::size_t>(group.begin(), group.end()).size()) << seed;
   }
 }
 

@@ -9,9 +9,9 @@
 #include <variant>
 #include <vector>
 
-#include "terse/core/arrival.h"
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
+#include "terse/core/loop_groups.h"
 #include "terse/core/odometry_chain.h"
 #include "terse/core/robust.h"
 
@@ -108,11 +108,7 @@ std::vector<FactorId> UnsupportedLoops(const PoseGraph<Pose>& graph) {
 
 template <class Pose>
 LoopSupport FindSupport(const PoseGraph<Pose>& graph) {
-  std::vector<int> rank(graph.Poses().size());
-  int next = 0;
-  for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
-    for (const int pose : step.poses) rank[At(pose)] = next++;
-  }
+  const std::vector<int> rank = PlacesInArrival(graph);
   const std::vector<FactorId> candidates = LoopFactors(graph);
   Loops<Pose> loops;
   std::vector<ForwardEdge<Pose>> steps;

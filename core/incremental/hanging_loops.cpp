@@ -8,12 +8,11 @@
 #include <map>
 #include <utility>
 
-#include "terse/core/arrival.h"
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
-#include "terse/core/disjoint_sets.h"
 #include "terse/core/front_paths.h"
 #include "terse/core/log_message.h"
+#include "terse/core/loop_groups.h"
 #include "terse/core/open_loops.h"
 #include "terse/core/require_optimum.h"
 #include "terse/core/residual.h"
@@ -24,8 +23,6 @@ namespace {
 
 using std::size_t;
 
-constexpr int kReach = 10;         // of a group: poses, at both ends
-constexpr int kMostCompared = 32;  // neighbours of a loop
 // More loops than that bear each other out better than any odometry could.
 constexpr size_t kMostOfGroup = 10;
 constexpr double kLostTurn = 0.5;  // radians
@@ -44,11 +41,7 @@ struct LoopIn {
 template <class Pose>
 std::vector<LoopIn<Pose>> LoopsIn(const PoseGraph<Pose>& graph, const BatchResult<Pose>& solved,
                                   const std::vector<FactorId>& robust) {
-  std::vector<int> place(graph.Poses().size());
-  int next = 0;
-  for (const ArrivalStep& step : ArrivalSteps(graph, ArrivalUnit::kPose)) {
-    for (const int pose : step.poses) place[At(pose)] = next++;
-  }
+  const std::vector<int> place = PlacesInArrival(graph);
   std::vector<LoopIn<Pose>> loops;
   size_t k = 0;
   for (const auto& node : graph.Factors()) {
@@ -61,35 +54,12 @@ std::vector<LoopIn<Pose>> LoopsIn(const PoseGraph<Pose>& graph, const BatchResul
   return loops;
 }
 
-// Of those that lead from about one place to about one other, directly or over others of the group.
 template <class Pose>
 std::vector<std::vector<size_t>> GroupsOf(const std::vector<LoopIn<Pose>>& loops) {
-  std::map<std::pair<int, int>, std::vector<size_t>> cells;  // as wide as the reach
-  const auto cell_of = [](const std::pair<int, int>& p) { return std::pair(p.first / kReach, p.second / kReach); };
-  DisjointSets sets(loops.size());
-  const auto join_near = [&](size_t k, const std::vector<size_t>& cell) {
-    const std::pair<int, int>& a = loops[k].places;
-    for (size_t i = cell.size() - std::min(cell.size(), At(kMostCompared)); i < cell.size(); ++i) {
-      const std::pair<int, int>& b = loops[cell[i]].places;
-      if (std::abs(a.first - b.first) <= kReach && std::abs(a.second - b.second) <= kReach) sets.Join(k, cell[i]);
-    }
-  };
-  for (size_t k = 0; k < loops.size(); ++k) {
-    const std::pair<int, int> at = cell_of(loops[k].places);
-    for (const int i : {-1, 0, 1}) {
-      for (const int j : {-1, 0, 1}) {
-        const auto it = cells.find({at.first + i, at.second + j});
-        if (it != cells.end()) join_near(k, it->second);
-      }
-    }
-    cells[at].push_back(k);
-  }
-  std::map<size_t, std::vector<size_t>> by_root;
-  for (size_t k = 0; k < loops.size(); ++k) by_root[sets.Root(k)].push_back(k);
-  std::vector<std::vector<size_t>> groups;
-  groups.reserve(by_root.size());
-  for (auto& entry : by_root) groups.push_back(std::move(entry.second));
-  return groups;
+  std::vector<std::pair<int, int>> places;
+  places.reserve(loops.size());
+  for (const LoopIn<Pose>& loop : loops) places.push_back(loop.places);
+  return GroupLoops(places);
 }
 
 // What all else says of a group that is in.
