@@ -37,10 +37,10 @@ std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph);
 // know little of what these measure (open_loops.h), if that contradicts no more and has less chi2, of a loop no more
 // than four times what one true one in a hundred exceeds. A later one has to contradict no more loops than the best
 // before it, and to have less chi2, of a loop no more than one true one in a hundred exceeds, or to explain one loop in
-// twenty more, and one place in twenty that loops lead to (loop_groups.h). Of up to 500 loops, that of the whole by a
-// kernel twice as wide is a last one, which has to do the latter at less chi2 as that kernel has it. `first`: values by
-// pose index, such as those of a first map, or none. `options.robust`: of the map's solver, with kGnc; its quantile is
-// not looked at. Throws std::invalid_argument as SolveBatch does.
+// twenty more, and one in twenty more of the groups that they are (loop_groups.h). Of up to 500 loops, that of the
+// whole by a kernel twice as wide is a last one, which has to do the latter at less chi2 as that kernel has it.
+// `first`: values by pose index, such as those of a first map, or none. `options.robust`: of the map's solver, with
+// kGnc; its quantile is not looked at. Throws std::invalid_argument as SolveBatch does.
 template <class Pose>
 std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options);
 
