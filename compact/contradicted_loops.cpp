@@ -195,19 +195,14 @@ long CountContradicted(const PoseGraph<Pose>& graph, const std::vector<Pose>& T_
 
 // The ids that these factors have in a scaled graph.
 template <class Pose>
-std::vector<FactorId> PlacesOf(const PoseGraph<Pose>& graph, const std::vector<FactorId>& ids) {
-  std::vector<FactorId> places;
+std::vector<FactorId> IdsInScaled(const PoseGraph<Pose>& graph, const std::vector<FactorId>& ids) {
+  std::vector<FactorId> out;
   std::int64_t place = 0;
   for (const auto& node : graph.Factors()) {
-    if (std::binary_search(ids.begin(), ids.end(), node.id)) places.push_back({place});
+    if (std::binary_search(ids.begin(), ids.end(), node.id)) out.push_back({place});
     ++place;
   }
-  return places;
-}
-
-template <class Count>
-std::string SoManyOf(Count some, long all) {
-  return std::to_string(some) + " of " + std::to_string(all) + " loops ";
+  return out;
 }
 
 // Of all poses, by their index in the graph.
@@ -276,19 +271,14 @@ bool LoopJury<Pose>::JudgeAtFirst() {
 template <class Pose>
 bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
   if (options_.robust.kernel != RobustKernel::kGnc) return false;
+  const std::string of_all = " of " + std::to_string(run.links_offered) + " loops ";
   if (AreLoopsInDoubt(run.links_refused, run.links_offered)) {
-    return JudgeBy(ValuesOf(run.slam, graph_), run.links_refused, run.links_offered);
+    return Judge(std::to_string(run.links_refused) + of_all + "contradict the map", ValuesOf(run.slam, graph_));
   }
   const std::vector<FactorId> strained = StrainedLoops(run, graph_);
   return !strained.empty() &&
-         Judge(SoManyOf(strained.size(), run.links_offered) + "bent the map as hardly one of them should",
+         Judge(std::to_string(strained.size()) + of_all + "bent the map as hardly one of them should",
                ValuesOf(run.slam, graph_), strained);
-}
-
-template <class Pose>
-bool LoopJury<Pose>::JudgeBy(const std::vector<Pose>& T_world_body, long refused, long offered) {
-  return options_.robust.kernel == RobustKernel::kGnc && AreLoopsInDoubt(refused, offered) &&
-         Judge(SoManyOf(refused, offered) + "contradict the map", T_world_body);
 }
 
 template <class Pose>
@@ -306,13 +296,12 @@ bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& firs
   std::optional<PoseGraph<Pose>> scaled;
   if (!is_whole && !scale_.IsOne()) scaled = ScaleInformation(graph_, scale_);
   bool has_other_ids = !scale_.IsOne();  // a scaled graph numbers its factors by their place
-  Explanation<Pose> best = BestExplanation(is_whole ? Remaining()
-                                           : scaled ? *scaled
-                                                    : graph_,
-                                           first, has_other_ids ? PlacesOf(graph_, strained) : strained, options_);
+  const PoseGraph<Pose>& whole = is_whole ? Remaining() : scaled ? *scaled : graph_;
+  Explanation<Pose> best =
+      BestExplanation(whole, first, has_other_ids ? IdsInScaled(graph_, strained) : strained, options_);
   if (scale_.IsOne() && !without_caution_.IsOne()) {
     const PoseGraph<Pose> strict = ScaleInformation(graph_, without_caution_);
-    Explanation<Pose> stricter = BestExplanation(strict, first, PlacesOf(graph_, strained), options_);
+    Explanation<Pose> stricter = BestExplanation(strict, first, IdsInScaled(graph_, strained), options_);
     const auto contradicted = [&](const Explanation<Pose>& by) {
       return CountContradicted(strict, by.T_world_body, stricter.left_out);
     };

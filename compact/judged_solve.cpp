@@ -1,13 +1,14 @@
 #include "terse/compact/judged_solve.h"
 
 #include <algorithm>
-#include <exception>
 #include <iterator>
+#include <stdexcept>
 #include <utility>
 #include <vector>
 
 #include "loops_of_run.h"
 #include "terse/compact/contradicted_loops.h"
+#include "terse/core/error.h"
 #include "terse/core/residual.h"
 
 namespace terse {
@@ -63,28 +64,28 @@ BatchResult<Pose> JudgedAgain(const PoseGraph<Pose>& graph, BatchResult<Pose> re
   }
   const long rejected = static_cast<long>(loops.size() - believed.size());
   if (!AreLoopsInDoubt(rejected, static_cast<long>(loops.size()))) return result;
-  const InformationCalibration information = CalibrateInformation(graph);
-  if (information.scale.IsOne() && information.without_caution.IsOne()) return result;
-  if (on_judging)
-    on_judging(std::to_string(rejected) + " of " + std::to_string(loops.size()) + " loops contradict the map");
-  const CompactOptions<Pose> compact = OptionsFor<Pose>({RobustKernel::kGnc}, information, {});
-  LoopJury<Pose> jury(graph, information, compact.solver.robust, options);
-  std::vector<FactorId> left_out;
   try {
-    left_out = LeftOutOf(CompactGraph(jury, compact), graph);
-  } catch (const std::exception&) {  // what no map can be made of is not judged by one
+    const InformationCalibration information = CalibrateInformation(graph);
+    if (information.scale.IsOne() && information.without_caution.IsOne()) return result;
+    if (on_judging) {
+      on_judging(std::to_string(rejected) + " of " + std::to_string(loops.size()) + " loops contradict the map");
+    }
+    const CompactOptions<Pose> compact = OptionsFor<Pose>({RobustKernel::kGnc}, information);
+    LoopJury<Pose> jury(graph, information, compact.solver.robust, options);
+    const std::vector<FactorId> left_out = LeftOutOf(CompactGraph(jury, compact), graph);
+    const bool are_believed = std::any_of(left_out.begin(), left_out.end(), [&](FactorId id) {
+      return std::binary_search(believed.begin(), believed.end(), id);
+    });
+    if (!are_believed) return result;
+    BatchResult<Pose> again = SolveBatch(WithoutFactors(graph, left_out), options);
+    const bool is_solved = again.cholesky.Variables() > 0 && again.termination != Termination::kStopped;
+    if (!is_solved || jury.CostOf(again.T_world_body) >= jury.CostOf(result.T_world_body)) return result;
+    return OfTheWhole(graph, left_out, std::move(again));
+  } catch (const NumericalError&) {  // what no compact map can be made of is not judged by one
+    return result;
+  } catch (const std::invalid_argument&) {
     return result;
   }
-  const bool are_believed = std::any_of(left_out.begin(), left_out.end(), [&](FactorId id) {
-    return std::binary_search(believed.begin(), believed.end(), id);
-  });
-  if (!are_believed) return result;
-  BatchResult<Pose> again = SolveBatch(WithoutFactors(graph, left_out), options);
-  if (again.cholesky.Variables() == 0 || again.termination == Termination::kStopped ||
-      jury.CostOf(again.T_world_body) >= jury.CostOf(result.T_world_body)) {
-    return result;
-  }
-  return OfTheWhole(graph, left_out, std::move(again));
 }
 
 #define TERSE_INSTANTIATE(Pose)                                                                                \

@@ -72,8 +72,6 @@ class LoopJury {
   // other contradicts a wrong one that odometry just allows; so these have to be worth what they cost, and that an
   // explanation holds them is no merit of it. True if others are left out now, so that it is to be made anew.
   bool JudgeBy(const CompactRun<Pose>& run);
-  // By a map of all poses of the graph, by pose index, that refused so many of so many loops.
-  bool JudgeBy(const std::vector<Pose>& T_world_body, long refused, long offered);
   // Of such values by truncated least squares, with the information as residuals show it.
   double CostOf(const std::vector<Pose>& T_world_body) const;
   const std::vector<FactorId>& LeftOut() const { return left_out_; }  // of the graph, ascending
