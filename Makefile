@@ -5,7 +5,7 @@ JOBS ?= $(shell nproc)
 PYTHON ?=
 GRAPHS ?= ../shared/data/graphs
 
-packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libscotch-dev libspectra-dev libtbb-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
+packages = g++ cmake ninja-build libeigen3-dev libsuitesparse-dev libscotch-dev libspectra-dev libtbb-dev zlib1g-dev libcli11-dev nlohmann-json3-dev libgtest-dev libopencv-dev libpng-dev
 asan_packages = clang libclang-rt-14-dev # twice as fast to compile with as g++'s sanitizers
 package_packages = dpkg-dev file gzip
 docs_packages = doxygen libjs-katex

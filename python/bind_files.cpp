@@ -9,6 +9,7 @@
 #include "names.h"
 #include "pickling.h"
 #include "state_members.h"
+#include "terse/covariance/packing.h"
 #include "text.h"
 #include "values.h"
 
@@ -40,16 +41,18 @@ ReadFile ReadGraphFile(const Path& path, const std::string& rotation_information
 
 void Write(const Graph& graph, const Path& path, const std::string& format, const std::string& rotation_information) {
   const auto rotation = FromWord<RotationInformation>(rotation_information);
-  if (format != "g2o" && format != "toro")
-    throw std::invalid_argument("format: expected g2o or toro, got '" + format + "'");
+  if (format != "g2o" && format != "toro" && format != "packed")
+    throw std::invalid_argument("format: expected g2o, toro or packed, got '" + format + "'");
   const auto shared = graph.Share();
   const py::gil_scoped_release release;
   std::visit(
       [&](const auto& g) {
         if (format == "g2o") {
           WriteG2o(g, path.string(), rotation);
-        } else {
+        } else if (format == "toro") {
           WriteToro(g, path.string());
+        } else {
+          WritePacked(g, path.string(), ChoosePacking(g));
         }
       },
       *shared);
@@ -61,7 +64,7 @@ void BindFiles(py::module_& module) {
   py::class_<ReadFile>(module, "GraphFile", "A graph with what its file was like.")
       .def_readonly("graph", &ReadFile::graph, "The PoseGraph.")
       .def_property_readonly(
-          "format", [](const ReadFile& f) { return Name(f.facts.format); }, "g2o, TORO or iSAM.")
+          "format", [](const ReadFile& f) { return Name(f.facts.format); }, "g2o, TORO, iSAM or packed.")
       .def_property_readonly(
           "skipped_tags", [](const ReadFile& f) { return f.facts.skipped_tags; },
           "Lines that were skipped, by tag: parameters and tags that are not known; FIX: how many ids of such "
@@ -104,7 +107,9 @@ void BindFiles(py::module_& module) {
   module.def(
       "write_graph", &Write, py::arg("graph"), py::arg("path"), py::kw_only(), py::arg("format") = "g2o",
       py::arg("rotation_information") = "quaternion",
-      "Writes a PoseGraph; format: 'g2o' or 'toro' (no priors, no fixed poses). The file appears whole or not at all. "
+      "Writes a PoseGraph; format: 'g2o', 'toro' (no priors, no fixed poses) or 'packed' (a thirtieth of g2o, for "
+      "sending: measurements to a 32nd of the standard deviation that residuals show, no values of poses that are not "
+      "fixed). The file appears whole or not at all. "
       "FileError. Without the GIL.");
 }
 

@@ -118,6 +118,25 @@ TEST_F(Command, ConvertGoesThereAndBack) {
   EXPECT_EQ(std::count(kitti.begin(), kitti.end(), '\n'), 3);
 }
 
+TEST_F(Command, PackedGraphsAreReadWhereverGraphsAre) {
+  Succeed("generate manhattan --poses 400 --output town.g2o --quiet");
+  Succeed("convert town.g2o town.packed");
+  EXPECT_EQ(Json("info town.packed --json")["format"], "packed");
+  Succeed("convert town.packed back.g2o");
+  for (const char* of : {"g2o", "packed"}) {
+    Succeed(std::string("solve town.") + of + " --trajectory " + of + ".tum --quiet");
+    Succeed(std::string("compact town.") + of + " --quiet --output " + of);
+  }
+  EXPECT_LT(Json("evaluate packed.tum g2o.tum --json")["ate"]["translation_m"], 1e-3)
+      << "of some centimetres that it is off";
+  Succeed("convert town.g2o coarse.packed --precision 0.5");
+  EXPECT_LT(Read("coarse.packed").size(), Read("town.packed").size());
+  ExpectFailure("convert town.g2o x.packed --precision 0", 2, "--precision");
+  ExpectFailure("convert town.packed x.tum", 1, "pose 0 has no value");
+  Write("damaged.packed", Read("town.packed").substr(0, 500));
+  ExpectFailure("solve damaged.packed", 1, "damaged.packed: the file is truncated");
+}
+
 TEST_F(Command, VerticesAloneAreATrajectory) {
   Write("vertices.g2o", "VERTEX_SE2 1 1 0 0\nVERTEX_SE2 0 0 0 0\nVERTEX_SE2 2 2 0.5 0\nVERTEX_XY 7 0 0\nFIX 0 7\n");
   EXPECT_EQ(Run("convert vertices.g2o vertices.tum").exit_code, 0);

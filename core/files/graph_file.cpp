@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <charconv>
 
+#include "files/packed_graph.h"
 #include "files/read_graph.h"
 
 namespace terse {
@@ -156,6 +157,7 @@ const char* Name(GraphFormat format) {
     case GraphFormat::kG2o: return "g2o";
     case GraphFormat::kToro: return "TORO";
     case GraphFormat::kIsam: return "iSAM";
+    case GraphFormat::kPacked: return "packed";
   }
   return "";
 }
@@ -170,6 +172,7 @@ std::string DescribeSkippedTags(const GraphFile& file) {
 }
 
 GraphFile ReadGraph(const std::string& path, const ReadOptions& options) {
+  if (LooksPacked(path)) return ReadPacked(path, options);
   const TextFile file(path);
   Classified lines = Classify(file);
   const bool is_planar = Dimension(path, lines.known) == 2;

@@ -27,25 +27,6 @@ std::string Describe(const std::vector<PoseId>& ids) {
   return out + ")";
 }
 
-template <class Pose>
-void ExpectConnected(const PoseGraph<Pose>& graph, const std::string& path) {
-  const std::size_t poses = graph.Poses().size();
-  if (poses > 1 && graph.Factors().empty()) {
-    throw FileError(path, 0, "the graph has " + std::to_string(poses) + " poses but no edges, expected at least one");
-  }
-  const std::vector<std::vector<int>> components = ConnectedComponents(graph);
-  if (components.size() <= 1) return;
-  constexpr std::size_t kMostListed = 5;
-  std::string cause = "the graph falls into " + std::to_string(components.size()) + " components: ";
-  for (std::size_t i = 0; i < std::min(components.size(), kMostListed); ++i) {
-    std::vector<PoseId> ids;
-    for (const int index : components[i]) ids.push_back(graph.Poses()[static_cast<std::size_t>(index)].id);
-    std::sort(ids.begin(), ids.end());
-    cause += (i > 0 ? ", " : "") + Describe(ids);
-  }
-  throw FileError(path, 0, cause + (components.size() > kMostListed ? ", ..." : "") + "; expected one");
-}
-
 }  // namespace
 
 void ExpectFields(const Fields& fields, const TagLayout& layout) {
@@ -110,6 +91,25 @@ bool RepairInformation(const Fields& fields, const ReadOptions& options, Factor<
   if (!beyond_repair.empty()) throw fields.Error(beyond_repair);
   if (!options.repair_information) throw fields.Error(defect + "; --repair-information clamps it");
   return true;
+}
+
+template <class Pose>
+void ExpectConnected(const PoseGraph<Pose>& graph, const std::string& path) {
+  const std::size_t poses = graph.Poses().size();
+  if (poses > 1 && graph.Factors().empty()) {
+    throw FileError(path, 0, "the graph has " + std::to_string(poses) + " poses but no edges, expected at least one");
+  }
+  const std::vector<std::vector<int>> components = ConnectedComponents(graph);
+  if (components.size() <= 1) return;
+  constexpr std::size_t kMostListed = 5;
+  std::string cause = "the graph falls into " + std::to_string(components.size()) + " components: ";
+  for (std::size_t i = 0; i < std::min(components.size(), kMostListed); ++i) {
+    std::vector<PoseId> ids;
+    for (const int index : components[i]) ids.push_back(graph.Poses()[static_cast<std::size_t>(index)].id);
+    std::sort(ids.begin(), ids.end());
+    cause += (i > 0 ? ", " : "") + Describe(ids);
+  }
+  throw FileError(path, 0, cause + (components.size() > kMostListed ? ", ..." : "") + "; expected one");
 }
 
 template <class Pose>
@@ -178,6 +178,8 @@ template Matrix<3, 3> SymmetricFields<3>(const Fields&, int);
 template Matrix<6, 6> SymmetricFields<6>(const Fields&, int);
 template bool RepairInformation<SE2>(const Fields&, const ReadOptions&, Factor<SE2>&);
 template bool RepairInformation<SE3>(const Fields&, const ReadOptions&, Factor<SE3>&);
+template void ExpectConnected<SE2>(const PoseGraph<SE2>&, const std::string&);
+template void ExpectConnected<SE3>(const PoseGraph<SE3>&, const std::string&);
 template class GraphBuilder<SE2>;
 template class GraphBuilder<SE3>;
 

@@ -61,6 +61,10 @@ Pose EulerPoseFields(const Fields& fields, int first);
 template <class Pose>
 bool RepairInformation(const Fields& fields, const ReadOptions& options, Factor<Pose>& factor);
 
+// Throws FileError if the graph is in pieces, or has poses but no edges.
+template <class Pose>
+void ExpectConnected(const PoseGraph<Pose>& graph, const std::string& path);
+
 template <class Pose>
 class GraphBuilder {
  public:

@@ -163,7 +163,11 @@ def test_files(tmp_path):
         assert file.format.lower() == format and file.skipped_tags == {} and file.repaired_informations == 0
         np.testing.assert_array_equal(file.graph.poses, graph.poses)
         np.testing.assert_array_equal(file.graph.edges().T_from_to, graph.edges().T_from_to)
-    with pytest.raises(ValueError, match="g2o or toro"):
+    terse.write_graph(graph, tmp_path / "square.packed", format="packed")
+    file = terse.read_graph_file(tmp_path / "square.packed")
+    assert file.format == "packed" and np.isnan(file.graph.poses).all()
+    np.testing.assert_allclose(file.graph.edges().T_from_to, graph.edges().T_from_to, atol=0.01)
+    with pytest.raises(ValueError, match="g2o, toro or packed"):
         terse.write_graph(graph, tmp_path / "x", format="png")
 
 

@@ -8,12 +8,14 @@
 #include "run/run_statistics.h"
 #include "terse/core/stamped_trajectory.h"
 #include "terse/core/trajectory.h"
+#include "terse/covariance/packing.h"
 
 namespace terse {
 namespace {
 
 struct ConvertOptions {
   std::string input, output;
+  double precision = PackedPrecision().translation;
   ReadOptions read;
 };
 
@@ -63,9 +65,9 @@ void Convert(const ConvertOptions& options) {
   CheckOutputPaths({{"OUT", options.output}}, {{"IN", options.input}});
   const std::string extension = std::filesystem::path(options.output).extension().string();
   const bool to_tum = extension == ".tum", to_kitti = extension == ".kitti" || extension == ".txt";
-  if (!to_tum && !to_kitti && extension != ".g2o" && extension != ".graph") {
+  if (!to_tum && !to_kitti && extension != ".g2o" && extension != ".graph" && extension != ".packed") {
     throw std::invalid_argument(options.output +
-                                ": the extension must be .g2o, .graph (TORO), .tum, .kitti or .txt (KITTI)");
+                                ": the extension must be .g2o, .graph (TORO), .packed, .tum, .kitti or .txt (KITTI)");
   }
   const bool from_trajectory = LooksLikeTrajectory(options.input);
   if (to_tum || to_kitti) {
@@ -82,7 +84,9 @@ void Convert(const ConvertOptions& options) {
   const GraphFile file = ReadGraph(options.input, options.read);
   std::visit(
       [&](const auto& graph) {
-        extension == ".g2o" ? WriteG2o(graph, options.output) : WriteToro(graph, options.output);
+        if (extension == ".g2o") WriteG2o(graph, options.output);
+        if (extension == ".graph") WriteToro(graph, options.output);
+        if (extension == ".packed") WritePacked(graph, options.output, ChoosePacking(graph, options.precision));
       },
       file.graph);
 }
@@ -92,12 +96,19 @@ void Convert(const ConvertOptions& options) {
 void AddConvertCommand(CLI::App& app) {
   auto options = std::make_shared<ConvertOptions>();
   CLI::App* command = app.add_subcommand("convert", "Convert a graph file to another format, or to its trajectory");
-  command->add_option("IN", options->input, "g2o, TORO or iSAM graph; or a TUM or KITTI trajectory")->required();
-  command
-      ->add_option("OUT", options->output,
-                   "Format by extension: .g2o, .graph (TORO), .tum, .kitti or .txt (KITTI trajectory). The rotation "
-                   "information in a .g2o is written as g2o defines it")
+  command->add_option("IN", options->input, "g2o, TORO, iSAM or packed graph; or a TUM or KITTI trajectory")
       ->required();
+  command
+      ->add_option(
+          "OUT", options->output,
+          "Format by extension: .g2o, .graph (TORO), .packed (a thirtieth of a .g2o, for sending), .tum, .kitti "
+          "or .txt (KITTI trajectory). The rotation information in a .g2o is written as g2o defines it")
+      ->required();
+  command
+      ->add_option("--precision", options->precision,
+                   "Of a packed graph: to what share of their standard deviations measurements are kept; of those that "
+                   "residuals show, where these are smaller than stated. Poses that are not fixed have no values there")
+      ->check(CLI::Range(1e-6, 1.0));
   AddReadOptions(*command, options->read);
   command->footer(
       "Example: terse generate sphere --poses 400 --output sphere.g2o &&\n"

@@ -1,5 +1,5 @@
 #pragma once
-// Graph files: g2o (2D and 3D), TORO and iSAM text. The format is detected from the content.
+// Graph files: g2o (2D and 3D), TORO and iSAM text, and packed ones. The format is detected from the content.
 //
 // Strict: anything wrong is a FileError with path, line and cause, and nothing is returned. Numbers are read and
 // written independently of the locale; what is written reads back equal to the last bit the format allows.
@@ -14,7 +14,7 @@
 
 namespace terse {
 
-enum class GraphFormat { kG2o, kToro, kIsam };
+enum class GraphFormat { kG2o, kToro, kIsam, kPacked };
 const char* Name(GraphFormat format);
 
 using AnyPoseGraph = std::variant<PoseGraph<SE2>, PoseGraph<SE3>>;
@@ -71,5 +71,18 @@ void WriteG2o(const PoseGraph<Pose>& graph, const std::string& path,
 // to 1e-12, everything else to the last bit.
 template <class Pose>
 void WriteToro(const PoseGraph<Pose>& graph, const std::string& path);
+
+// To what a packed graph keeps its measurements, in stated standard deviations (of a coordinate given the others, along
+// the axes of the residual). A step of p adds p^2 / 12 to the variance. Where the information is far more cautious than
+// the measurements are, as a unit matrix is, that is too coarse: ChoosePacking (terse/covariance/packing.h).
+struct PackedPrecision {
+  double translation = 1.0 / 32, rotation = 1.0 / 32;
+};
+// Small, for sending: measurements to `precision`, information to half a per cent, ids and order as they are, and no
+// values of poses but of fixed ones, as the optimum is found without. A version of this library reads its own files
+// only. Throws FileError; std::invalid_argument unless 0 < precision <= 1, NumericalError where a factor cannot be kept
+// like this, naming it.
+template <class Pose>
+void WritePacked(const PoseGraph<Pose>& graph, const std::string& path, const PackedPrecision& precision = {});
 
 }  // namespace terse
