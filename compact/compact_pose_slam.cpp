@@ -183,6 +183,11 @@ long CompactPoseSlam<Pose>::PosesForgotten() const {
 }
 
 template <class Pose>
+PoseId CompactPoseSlam<Pose>::NewerOf(PoseId a, PoseId b) const {
+  return parts_->history.NewerOf(a, b);
+}
+
+template <class Pose>
 int CompactPoseSlam<Pose>::PosesSeen() const {
   return static_cast<int>(parts_->history.Size() + parts_->history.Forgotten());
 }

@@ -112,7 +112,7 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFa
   }
   if (knows_from && knows_to) {
     if (!IsOpen(edge.from) && !IsOpen(edge.to)) return {LinkLate(edge)};
-    open_->loops->push_back(edge);
+    AddToOpen(edge);
     return {};
   }
   const PoseId known = knows_from ? edge.from : edge.to;
@@ -121,6 +121,22 @@ std::vector<StreamOutcome> MeasurementStream<Pose>::AddEdge(const RelativePoseFa
   std::vector<StreamOutcome> out = open_ ? Close() : std::vector<StreamOutcome>();
   OpenNext(std::move(next));
   return out;
+}
+
+// What leads to the latest pose is the odometry, as in a replay (graph_replay.h), in whatever order the edges come.
+template <class Pose>
+void MeasurementStream<Pose>::AddToOpen(const RelativePoseFactor<Pose>& edge) {
+  const auto other_end = [&](const RelativePoseFactor<Pose>& e) { return IsOpen(e.from) ? e.to : e.from; };
+  std::vector<RelativePoseFactor<Pose>>& loops = *open_->loops;
+  const PoseId end = other_end(edge);
+  if (open_->odometry && slam_->HasSeen(end)) {
+    const PoseId before = other_end(*open_->odometry);
+    if (before != end && slam_->NewerOf(before, end) == end) {
+      loops.insert(loops.begin(), std::exchange(*open_->odometry, edge));
+      return;
+    }
+  }
+  loops.push_back(edge);
 }
 
 template <class Pose>

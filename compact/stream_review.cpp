@@ -19,7 +19,7 @@ namespace {
 constexpr long kFirstLoops = 8, kFirstPoses = 32;
 // A look is over after so many more poses, or a share of those that there are.
 constexpr long kLeastPosesOfLook = 20, kShareOfLook = 8;
-// Of the samples that EstimateOptions asks for: where loops are few, or many, the beginning ends all the same.
+// Of the samples that EstimateOptions asks for: wrong loops that come later are for the map alone to tell.
 constexpr long kMostPosesOf = 5, kMostLoopsOf = 10;
 // Scales and thresholds that differ by less are not worth another map; logarithm.
 constexpr double kSameScale = 0.15;
@@ -42,6 +42,38 @@ bool AreSame(const Thresholds<Pose>& a, const Thresholds<Pose>& b) {
     if (!AreNear(std::sqrt(a.link_covariance(k, k)), std::sqrt(b.link_covariance(k, k)))) return false;
   }
   return AreNear(a.min_loop_gain, b.min_loop_gain) && AreNear(a.min_pose_gain, b.min_pose_gain);
+}
+
+// Loops and priors that came late stand where they would have come in time: behind what opened the later of their
+// poses. True if that moved any.
+template <class Pose>
+bool PutInTime(std::vector<StreamEvent<Pose>>& events) {
+  std::unordered_map<std::int64_t, std::size_t> opened_at;
+  std::vector<std::size_t> place(events.size()), order(events.size());
+  std::size_t newest = 0;
+  bool has_moved = false;
+  for (std::size_t k = 0; k < events.size(); ++k) {
+    place[k] = order[k] = k;
+    if (!events[k].factor) continue;
+    const FactorPoses ends = PosesOf(*events[k].factor);
+    const auto [first, is_first_new] = opened_at.try_emplace(ends.first.value, k);
+    const std::size_t of_first = first->second;
+    const auto [second, is_second_new] =
+        opened_at.try_emplace(ends.count == 2 ? ends.second.value : ends.first.value, k);
+    if (is_first_new || is_second_new) {
+      newest = k;
+      continue;
+    }
+    place[k] = std::max(of_first, second->second);
+    has_moved = has_moved || place[k] < newest;
+  }
+  if (!has_moved) return false;
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return place[a] < place[b]; });
+  std::vector<StreamEvent<Pose>> sorted;
+  sorted.reserve(events.size());
+  for (const std::size_t k : order) sorted.push_back(std::move(events[k]));
+  events = std::move(sorted);
+  return true;
 }
 
 // Edges and priors, poses in the order in which these name them. Factors are numbered from 0.
@@ -255,12 +287,12 @@ bool StreamReview<Pose>::IsInDoubt() const {
 template <class Pose>
 bool StreamReview<Pose>::IsEnough() const {
   const EstimateOptions& sample = options_.estimate;
-  return (poses_ >= sample.sample_poses && Loops() >= sample.sample_loops) ||
-         poses_ >= kMostPosesOf * sample.sample_poses || Loops() >= kMostLoopsOf * sample.sample_loops;
+  return poses_ >= kMostPosesOf * sample.sample_poses || Loops() >= kMostLoopsOf * sample.sample_loops;
 }
 
 template <class Pose>
 auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
+  bool is_other = PutInTime(beginning.events);
   const MeasuredGraph<Pose> measured(beginning.events);
   OnTheWay& look = beginning.look;
   Looked out{{}, beginning.scale, beginning.settings.thresholds, std::move(beginning.events), std::nullopt, ""};
@@ -286,13 +318,14 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
     out.remade.emplace(settings, out.scale);
     out.remade->TakeUpTo(out.events);
   };
-  bool is_other = false;
   if (beginning.options.information && !look.is_early) {
     out.information = CalibrateInformation(measured.graph, beginning.options.estimate);
     // What cannot be told leaves the scale that was found from less.
     const bool is_told = out.information.verdict != InformationVerdict::kUndetermined;
-    is_other = is_told && !AreSame(out.information.scale, beginning.scale);
-    if (is_other) out.scale = out.information.scale;
+    if (is_told && !AreSame(out.information.scale, beginning.scale)) {
+      out.scale = out.information.scale;
+      is_other = true;
+    }
   }
   scaled = ScaleInformation(measured.graph, out.scale);
   BatchOptions judged;

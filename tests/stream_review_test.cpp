@@ -227,6 +227,49 @@ TEST(StreamReview, RightInformationStays) {
   ExpectRightInformationStays<SE3>(85);
 }
 
+// The first edge of each pose in time, the others so many edges later.
+template <class Pose>
+std::vector<RelativePoseFactor<Pose>> WithLateLoops(const std::vector<RelativePoseFactor<Pose>>& in_time,
+                                                    size_t delay) {
+  std::vector<RelativePoseFactor<Pose>> out, late;
+  std::set<std::int64_t> known;
+  const auto is_new = [&](PoseId id) { return known.insert(id.value).second; };
+  for (size_t k = 0; k < in_time.size(); ++k) {
+    const bool opens_from = is_new(in_time[k].from), opens_to = is_new(in_time[k].to);
+    (opens_from || opens_to ? out : late).push_back(in_time[k]);
+    if (late.size() >= delay) out.insert(out.end(), late.begin(), late.end()), late.clear();
+  }
+  out.insert(out.end(), late.begin(), late.end());
+  return out;
+}
+
+// Loops that a place recognition finds some poses later, or when the drive is over: to poses that the map has dropped
+// or kept without knowing of them.
+TEST(StreamReview, LoopsThatComeLateAreHeardOfInTime) {
+  const World<SE2> world = MakeWorld<SE2>(86);
+  const auto in_time = InOrderOfArrival(world.graph);
+  Streamed<SE2> oracle(Settings<SE2>());
+  for (const auto& factor : in_time) oracle.Take(oracle.stream.Add(factor));
+  oracle.Take(oracle.stream.Flush());
+  for (const size_t delay : {size_t{30}, in_time.size()}) {
+    SCOPED_TRACE(delay);
+    Streamed<SE2> run(Settings<SE2>()), without(Settings<SE2>());
+    run.stream.StartReviews();
+    for (const auto& factor : WithLateLoops(in_time, delay)) {
+      run.Add(factor);
+      without.Take(without.stream.Add(factor));
+    }
+    run.Finish();
+    without.Finish();
+    EXPECT_GE(run.made_again, 1);
+    EXPECT_TRUE(Picture(run.slam) == Picture(oracle.slam));
+    ASSERT_EQ(run.decisions.size(), oracle.decisions.size());
+    EXPECT_FALSE(Picture(without.slam) == Picture(oracle.slam)) << "nothing was late";
+    if (delay < in_time.size()) continue;
+    EXPECT_LT(ErrorOf(run.slam, world.truth), ErrorOf(without.slam, world.truth));
+  }
+}
+
 // Unit matrices, and a hundred times too certain: what such maps were like, and what they are.
 TEST(StreamReview, InventedInformationDoesNotLoseTheMap) {
   const World<SE2> world = MakeWorld<SE2>(91);

@@ -91,6 +91,8 @@ class CompactPoseSlam {
   // Whether a pose was seen and is remembered; and whether it was seen and is forgotten (CompactOptions::most_dropped).
   bool HasSeen(PoseId id) const;
   bool HasForgotten(PoseId id) const;
+  // Which of two poses came later. Throws std::invalid_argument if one is unknown or forgotten.
+  PoseId NewerOf(PoseId a, PoseId b) const;
   // How many are forgotten: whoever holds something of every pose drops it when this number changes.
   long PosesForgotten() const;
 

@@ -1,9 +1,9 @@
 #pragma once
 // Compact pose SLAM fed with single measurements in the order in which a robot makes them.
 //
-// An edge that names one new pose opens this pose: the edge is its odometry. Until it is closed it gathers its loops,
-// the edges to earlier poses, and its priors. The next edge that opens a pose closes it, or Flush(): it is then added
-// with its loops (CompactInput::loops).
+// An edge that names one new pose opens this pose. Until it is closed it gathers further edges to earlier poses, and
+// its priors. The edge to the latest of these poses is its odometry, the others are its loops. The next edge that opens
+// a pose closes it, or Flush(): it is then added with its loops (CompactInput::loops).
 //
 // An edge between two closed poses is a late link (AddLink), a prior on a closed pose a late prior (AddPrior). A late
 // link between poses that hang on one kept pose says nothing about the map: it is not accepted.
@@ -15,8 +15,8 @@
 // thread of its own looks at all that was measured so far, as CompactGraph does with a file: scales information that
 // nobody estimated or that residuals contradict (information_scale.h), judges all loops together where the map refuses
 // many (contradicted_loops.h), chooses the thresholds that it is asked to choose (thresholds.h; before there are eight
-// loops each time that there are twice as many poses), and if something else comes out makes the map again.
-// TakeReview() takes it over.
+// loops each time that there are twice as many poses), and if something else comes out, or loops came late, makes the
+// map again, with loops where they belong in time. TakeReview() takes it over.
 //
 // Throws std::invalid_argument for what contradicts the measurements before it, NumericalError where the solver fails,
 // and is then as before: a pose at hand that cannot be closed stays at hand until Discard() gives it up. Not
@@ -56,8 +56,8 @@ struct ReviewOptions {
   bool information = true;  // else it stays as it is stated
   // By SelectThresholds, from 32 poses on. Before, those of the map's options are in use.
   ThresholdChoice chosen;
-  // The samples asked for end with five times the poses or ten times the loops too, where the other is rare: until then
-  // all measurements are held and reviewed, and none later.
+  // Until there are five times the poses or ten times the loops of the samples asked for all measurements are held and
+  // reviewed, and none later.
   EstimateOptions estimate;
 };
 
@@ -119,6 +119,7 @@ class MeasurementStream {
   template <class Archive>
   void Serialize(Archive& archive);
   std::vector<StreamOutcome> AddEdge(const RelativePoseFactor<Pose>& edge);
+  void AddToOpen(const RelativePoseFactor<Pose>& edge);
   LateLink LinkLate(const RelativePoseFactor<Pose>& edge);
   std::vector<StreamOutcome> AddPrior(const Factor<Pose>& prior);
   CompactInput<Pose> Prepare(PoseId id, const std::optional<RelativePoseFactor<Pose>>& odometry) const;
