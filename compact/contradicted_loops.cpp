@@ -21,7 +21,7 @@ constexpr int kLeastRefused = 3;
 constexpr std::size_t kLeastAlone = 50;
 constexpr double kDoubtfulShare = 0.01;
 constexpr double kChanceOfStrain = 0.05;
-// An explanation of so many times as many loops is better at any cost.
+// An explanation of so many times as many loops, in so many times as many groups, is better at any cost.
 constexpr double kManyMore = 1.05;
 // With so few loops, one through a kernel so many times as wide is looked at too.
 constexpr std::size_t kFewLoops = 500;
@@ -105,11 +105,13 @@ class Judge {
   // Of loops, and of places that they join: wrong ones that agree with each other are many, but of one place.
   bool ExplainsManyMore(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
     return static_cast<double>(Explained(a)) > kManyMore * static_cast<double>(Explained(b)) &&
-           ExplainedGroups(a) > kManyMore * ExplainedGroups(b);
+           ExplainsMoreGroups(a, b);
   }
-  // Cheaper, and of as many loops, or of many more: with little information on loops either alone is misleading.
+  // Cheaper, and of as many loops or more of their groups, or of many more: with little information on loops either
+  // alone is misleading.
   bool IsBetter(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
-    return (a.cost < b.cost && Explained(a) >= Explained(b)) || ExplainsManyMore(a, b);
+    const bool is_cheaper = a.cost < b.cost && (Explained(a) >= Explained(b) || ExplainsMoreGroups(a, b));
+    return is_cheaper || ExplainsManyMore(a, b);
   }
   // With more loops in, of which the map knows little: true ones there may well be in the tail.
   bool IsBetterWithOpen(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
@@ -123,6 +125,9 @@ class Judge {
   }
 
  private:
+  bool ExplainsMoreGroups(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
+    return ExplainedGroups(a) > kManyMore * ExplainedGroups(b);
+  }
   // Of a group the share of its loops.
   double ExplainedGroups(const Explanation<Pose>& by) const {
     double sum = 0;
@@ -171,12 +176,13 @@ Explanation<Pose> BestExplanation(const PoseGraph<Pose>& graph, const std::vecto
   std::vector<FactorId> explained_alone;
   std::set_difference(unsupported.begin(), unsupported.end(), best.contradicted.begin(), best.contradicted.end(),
                       std::back_inserter(explained_alone));
-  if (2 * explained_alone.size() >= judge.Explained(best)) {
+  const bool are_few = judge.Loops() <= kFewLoops, stand_alone = 2 * explained_alone.size() >= judge.Explained(best);
+  if (are_few || stand_alone) {
     keep_if_better(judge.Weigh(SolveBatch(graph, options).T_world_body));
   }
 
   // A few true loops in the tail of the noise would be given up for the odometry that they bend.
-  if (judge.Loops() <= kFewLoops) {
+  if (are_few) {
     BatchOptions wider = options;
     wider.robust.width = kWider * solved.robust_width;
     Explanation<Pose> other = judge.Weigh(SolveBatch(graph, wider).T_world_body);
@@ -215,21 +221,6 @@ std::vector<Pose> ValuesOf(const CompactPoseSlam<Pose>& slam, const PoseGraph<Po
   return values;
 }
 
-// Loops of the graph that no other bears out and that the map believes although their innovation is one that of so many
-// true ones hardly any has.
-template <class Pose>
-std::vector<FactorId> StrainedLoops(const CompactRun<Pose>& run, const PoseGraph<Pose>& graph) {
-  if (run.links_offered == 0) return {};
-  const double limit = ChiSquareQuantile(1 - kChanceOfStrain / static_cast<double>(run.links_offered), Pose::kDof);
-  const std::vector<FactorId> believed =
-      LoopsOf(run, graph, [&](const Candidate& link) { return link.accepted && link.innovation.value_or(0) > limit; });
-  std::vector<FactorId> strained;
-  if (believed.empty()) return strained;
-  const std::vector<FactorId> alone = internal::UnsupportedLoops(graph);
-  std::set_intersection(believed.begin(), believed.end(), alone.begin(), alone.end(), std::back_inserter(strained));
-  return strained;
-}
-
 }  // namespace
 
 bool AreLoopsInDoubt(long refused, long offered) {
@@ -237,7 +228,8 @@ bool AreLoopsInDoubt(long refused, long offered) {
 }
 
 template <class Pose>
-std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options) {
+std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const std::vector<Pose>& first,
+                                        BatchOptions options) {
   return BestExplanation(graph, first, {}, std::move(options)).contradicted;
 }
 
@@ -251,6 +243,20 @@ std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph) {
 }
 
 template <class Pose>
+std::vector<FactorId> StrainedLoops(const std::vector<Decision>& decisions, long offered,
+                                    const PoseGraph<Pose>& graph) {
+  if (offered == 0) return {};
+  const double limit = ChiSquareQuantile(1 - kChanceOfStrain / static_cast<double>(offered), Pose::kDof);
+  const std::vector<FactorId> believed = LoopsOf(
+      decisions, graph, [&](const Candidate& link) { return link.accepted && link.innovation.value_or(0) > limit; });
+  std::vector<FactorId> strained;
+  if (believed.empty()) return strained;
+  const std::vector<FactorId> alone = internal::UnsupportedLoops(graph);
+  std::set_intersection(believed.begin(), believed.end(), alone.begin(), alone.end(), std::back_inserter(strained));
+  return strained;
+}
+
+template <class Pose>
 LoopJury<Pose>::LoopJury(const PoseGraph<Pose>& graph, const InformationCalibration& information,
                          const RobustOptions& robust, BatchOptions options)
     : graph_(graph),
@@ -258,7 +264,7 @@ LoopJury<Pose>::LoopJury(const PoseGraph<Pose>& graph, const InformationCalibrat
       without_caution_(information.without_caution),
       options_(std::move(options)) {
   options_.robust = robust;
-  if (!scale_.IsOne()) remaining_ = ScaleInformation(graph_, scale_);
+  Leave();
 }
 
 template <class Pose>
@@ -275,10 +281,21 @@ bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
   if (AreLoopsInDoubt(run.links_refused, run.links_offered)) {
     return Judge(std::to_string(run.links_refused) + of_all + "contradict the map", ValuesOf(run.slam, graph_));
   }
-  const std::vector<FactorId> strained = StrainedLoops(run, graph_);
+  const std::vector<FactorId> strained = StrainedLoops(run.decisions, run.links_offered, graph_);
   return !strained.empty() &&
          Judge(std::to_string(strained.size()) + of_all + "bent the map as hardly one of them should",
                ValuesOf(run.slam, graph_), strained);
+}
+
+template <class Pose>
+bool LoopJury<Pose>::JudgeNextTo(const std::vector<Pose>& T_world_body, const std::vector<FactorId>& strained) {
+  return options_.robust.kernel == RobustKernel::kGnc && Judge("", T_world_body, strained);
+}
+
+template <class Pose>
+void LoopJury<Pose>::LeaveOut(std::vector<FactorId> loops) {
+  left_out_ = std::move(loops);
+  Leave();
 }
 
 template <class Pose>
@@ -291,7 +308,7 @@ double LoopJury<Pose>::CostOf(const std::vector<Pose>& T_world_body) const {
 template <class Pose>
 bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& first,
                            const std::vector<FactorId>& strained) {
-  if (on_judging) on_judging(why);
+  if (on_judging && !why.empty()) on_judging(why);
   const bool is_whole = left_out_.empty();  // what remains
   std::optional<PoseGraph<Pose>> scaled;
   if (!is_whole && !scale_.IsOne()) scaled = ScaleInformation(graph_, scale_);
@@ -315,12 +332,19 @@ bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& firs
   }
   if (found == left_out_) return false;
   left_out_ = std::move(found);
-  remaining_ = WithoutFactors(graph_, left_out_);
-  if (scale_.IsOne()) return true;
-  const InformationScale again = CalibrateInformation(*remaining_).scale;
-  if (!again.IsOne()) scale_ = again;
-  remaining_ = ScaleInformation(*remaining_, scale_);
+  if (!scale_.IsOne()) {
+    const InformationScale again = CalibrateInformation(WithoutFactors(graph_, left_out_)).scale;
+    if (!again.IsOne()) scale_ = again;
+  }
+  Leave();
   return true;
+}
+
+template <class Pose>
+void LoopJury<Pose>::Leave() {
+  remaining_.reset();
+  if (!left_out_.empty()) remaining_ = WithoutFactors(graph_, left_out_);
+  if (!scale_.IsOne()) remaining_ = ScaleInformation(Remaining(), scale_);
 }
 
 template <class Pose>
@@ -337,10 +361,12 @@ CompactRun<Pose> CompactGraph(LoopJury<Pose>& jury, CompactOptions<Pose> options
   return run;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                                    \
-  template std::string WhyLoopsAreInDoubt<Pose>(const PoseGraph<Pose>&);                                           \
-  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, std::vector<Pose>, BatchOptions); \
-  template class LoopJury<Pose>;                                                                                   \
+#define TERSE_INSTANTIATE(Pose)                                                                                   \
+  template std::string WhyLoopsAreInDoubt<Pose>(const PoseGraph<Pose>&);                                          \
+  template std::vector<FactorId> StrainedLoops<Pose>(const std::vector<Decision>&, long, const PoseGraph<Pose>&); \
+  template std::vector<FactorId> ContradictedLoops<Pose>(const PoseGraph<Pose>&, const std::vector<Pose>&,        \
+                                                         BatchOptions);                                           \
+  template class LoopJury<Pose>;                                                                                  \
   template CompactRun<Pose> CompactGraph<Pose>(LoopJury<Pose>&, CompactOptions<Pose>, const AfterStep<Pose>&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -18,7 +18,7 @@ namespace {
 template <class Pose>
 std::vector<FactorId> LeftOutOf(const CompactRun<Pose>& run, const PoseGraph<Pose>& graph) {
   const std::vector<FactorId> refused =
-      LoopsOf(run, graph, [](const Candidate& link) { return link.outlier && !link.accepted; });
+      LoopsOf(run.decisions, graph, [](const Candidate& link) { return link.outlier && !link.accepted; });
   std::vector<FactorId> out;
   std::set_union(refused.begin(), refused.end(), run.loops_left_out.begin(), run.loops_left_out.end(),
                  std::back_inserter(out));

@@ -5,16 +5,16 @@
 #include <utility>
 #include <vector>
 
-#include "terse/compact/compact_graph.h"
+#include "terse/compact/decision.h"
 #include "terse/core/robust.h"
 
 namespace terse {
 
-// Loops of the graph between poses that a run had candidates of some kind for, is(Candidate), ascending.
+// Loops of the graph between poses that a map had candidates of some kind for, is(Candidate), ascending.
 template <class Pose, class Is>
-std::vector<FactorId> LoopsOf(const CompactRun<Pose>& run, const PoseGraph<Pose>& graph, const Is& is) {
+std::vector<FactorId> LoopsOf(const std::vector<Decision>& decisions, const PoseGraph<Pose>& graph, const Is& is) {
   std::set<std::pair<PoseId, PoseId>> joined;
-  for (const Decision& decision : run.decisions) {
+  for (const Decision& decision : decisions) {
     for (const Candidate& link : decision.candidates) {
       if (is(link)) joined.insert(std::minmax(decision.id, link.carried_from.value_or(link.id)));
     }

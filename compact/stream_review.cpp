@@ -112,6 +112,26 @@ struct MeasuredGraph {
   std::vector<char> opens;            // a pose; likewise
 };
 
+// Of the measured graph, ascending.
+template <class Pose>
+std::vector<FactorId> LeftOut(const MeasuredGraph<Pose>& measured, const std::vector<StreamEvent<Pose>>& events) {
+  std::vector<FactorId> out;
+  for (std::size_t k = 0; k < measured.event_of.size(); ++k) {
+    if (events[measured.event_of[k]].is_left_out) out.push_back({static_cast<std::int64_t>(k)});
+  }
+  return out;
+}
+// What opens a pose is not left out.
+template <class Pose>
+void MarkLeftOut(const std::vector<FactorId>& loops, const MeasuredGraph<Pose>& measured,
+                 std::vector<StreamEvent<Pose>>& events) {
+  for (const std::size_t k : measured.event_of) events[k].is_left_out = false;
+  for (const FactorId id : loops) {
+    const auto k = static_cast<std::size_t>(id.value);
+    events[measured.event_of[k]].is_left_out = measured.opens[k] == 0;
+  }
+}
+
 // By pose index, of poses that are not in the trajectory yet by their odometry. Empty if others are not in it either.
 template <class Pose>
 std::vector<Pose> ValuesFor(const MeasuredGraph<Pose>& measured, const std::vector<RecoveredPose<Pose>>& trajectory) {
@@ -297,15 +317,24 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
   OnTheWay& look = beginning.look;
   Looked out{{}, beginning.scale, beginning.settings.thresholds, std::move(beginning.events), std::nullopt, ""};
   CompactOptions<Pose>& settings = beginning.settings;
-  PoseGraph<Pose> scaled;
+  InformationCalibration information;
+  if (beginning.options.information && !look.is_early) {
+    out.information = information = CalibrateInformation(measured.graph, beginning.options.estimate);
+  }
+  // What cannot be told leaves the scale that was found from less.
+  const bool is_told = information.verdict != InformationVerdict::kUndetermined;
+  if (!is_told || AreSame(information.scale, beginning.scale)) {
+    information.scale = beginning.scale;
+  } else {
+    is_other = true;
+  }
+  RobustOptions robust = settings.solver.robust;
+  if (look.is_early) robust.kernel = RobustKernel::kNone;  // nothing is judged
+  LoopJury<Pose> jury(measured.graph, information, robust);
   const auto choose = [&] {
-    std::vector<FactorId> left_out;
-    for (std::size_t k = 0; k < measured.event_of.size(); ++k) {
-      if (out.events[measured.event_of[k]].is_left_out) left_out.push_back(scaled.Factors()[k].id);
-    }
     try {
       const Thresholds<Pose> found =
-          ChooseThresholds(WithoutFactors(scaled, left_out), ForScale(settings, out.scale), beginning.options.chosen);
+          ChooseThresholds(jury.Remaining(), ForScale(settings, jury.Scale()), beginning.options.chosen);
       if (AreSame(found, out.thresholds)) return false;
       out.thresholds = settings.thresholds = found;
       return true;
@@ -314,51 +343,29 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
       return false;
     }
   };
+  long loops = 0;  // that the map hears of
   const auto make_again = [&] {
+    out.scale = jury.Scale();
+    MarkLeftOut(jury.LeftOut(), measured, out.events);
     out.remade.emplace(settings, out.scale);
     out.remade->TakeUpTo(out.events);
+    look.trajectory = out.remade->slam->Trajectory();
+    loops = static_cast<long>(LoopFactors(measured.graph).size() - jury.LeftOut().size());
   };
-  if (beginning.options.information && !look.is_early) {
-    out.information = CalibrateInformation(measured.graph, beginning.options.estimate);
-    // What cannot be told leaves the scale that was found from less.
-    const bool is_told = out.information.verdict != InformationVerdict::kUndetermined;
-    if (is_told && !AreSame(out.information.scale, beginning.scale)) {
-      out.scale = out.information.scale;
-      is_other = true;
-    }
-  }
-  scaled = ScaleInformation(measured.graph, out.scale);
-  BatchOptions judged;
-  judged.robust = ForScale(settings, out.scale).solver.robust;
-  const bool may_judge = !look.is_early && judged.robust.kernel == RobustKernel::kGnc;
-  const auto judge = [&] {  // true: others are left out
-    std::vector<char> is_wrong(out.events.size());
-    for (const FactorId id : ContradictedLoops(scaled, ValuesFor(measured, look.trajectory), judged)) {
-      const auto k = static_cast<std::size_t>(id.value);
-      is_wrong[measured.event_of[k]] = measured.opens[k] == 0;
-    }
-    bool are_others = false;
-    for (std::size_t k = 0; k < is_wrong.size(); ++k) {
-      are_others = are_others || out.events[k].is_left_out != (is_wrong[k] != 0);
-      out.events[k].is_left_out = is_wrong[k] != 0;
-    }
-    return are_others;
-  };
-  if (may_judge && !WhyLoopsAreInDoubt(scaled).empty()) {
-    is_other = judge() || is_other;
+  const std::vector<FactorId> left_out_before = LeftOut(measured, out.events);
+  if (jury.JudgeAtFirst()) {
+    is_other = is_other || jury.LeftOut() != left_out_before;
     look.is_in_doubt = false;
+  } else {
+    jury.LeaveOut(left_out_before);
   }
+  std::vector<FactorId> strained;
   if (choose() || is_other) {
     make_again();
-    long loops = 0;
-    for (std::size_t k = 0; k < measured.opens.size(); ++k) {
-      const StreamEvent<Pose>& event = out.events[measured.event_of[k]];
-      loops += measured.opens[k] == 0 && IsEdge(event) && !event.is_left_out;
-    }
     look.is_in_doubt = look.is_in_doubt || AreLoopsInDoubt(out.remade->refused, loops);
-    look.trajectory = out.remade->slam->Trajectory();
+    strained = StrainedLoops(out.remade->decisions, loops, measured.graph);
   }
-  if (may_judge && look.is_in_doubt && judge()) {
+  if ((look.is_in_doubt || !strained.empty()) && jury.JudgeNextTo(ValuesFor(measured, look.trajectory), strained)) {
     choose();
     make_again();
   }

@@ -298,7 +298,7 @@ TEST(PackedGraphFileTest, ColumnsThatMakeNoGraphAreRefused) {
 
 TEST(PackedColumnTest, GoesThereAndBack) {
   Random rng(35);
-  for (const std::size_t size : {0, 1, 2, 1000}) {
+  for (const std::size_t size : {std::size_t{0}, std::size_t{1}, std::size_t{2}, std::size_t{1000}}) {
     for (const std::int64_t range : {std::int64_t{0}, std::int64_t{1}, std::int64_t{300}, kMost}) {
       Column column(size);
       for (auto& x : column) x = range == 0 ? 0 : static_cast<std::int64_t>(rng()) % range;

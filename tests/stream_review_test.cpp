@@ -16,6 +16,7 @@
 #include "terse/core/generate.h"
 #include "terse/core/outliers.h"
 #include "testing_files.h"
+#include "testing_lone_loop.h"
 #include "testing_state.h"
 
 namespace terse {
@@ -98,6 +99,7 @@ struct Streamed {
     if (!found) return;
     EXPECT_EQ(found->decisions.size(), decisions.size());
     decisions = std::move(found->decisions);
+    left_out = found->loops_left_out;
     ++made_again;
   }
   void Add(const Factor<Pose>& factor) {
@@ -115,7 +117,7 @@ struct Streamed {
   CompactPoseSlam<Pose> slam;
   MeasurementStream<Pose> stream;
   std::vector<Decision> decisions;
-  int made_again = 0;
+  int made_again = 0, left_out = 0;
 };
 
 template <class Pose>
@@ -267,6 +269,17 @@ TEST(StreamReview, LoopsThatComeLateAreHeardOfInTime) {
     EXPECT_FALSE(Picture(without.slam) == Picture(oracle.slam)) << "nothing was late";
     if (delay < in_time.size()) continue;
     EXPECT_LT(ErrorOf(run.slam, world.truth), ErrorOf(without.slam, world.truth));
+  }
+}
+
+// Nothing but odometry contradicts a loop that is the first of a few, and not enough for a map to refuse it.
+TEST(StreamReview, ALoneLoopIsDoubtedAsInAFile) {
+  for (const std::uint64_t seed : Seeds(1, 3)) {
+    auto [graph, wrong] = OutAndBackWithOneWrong(seed);
+    Streamed<SE2> with = Calibrated(graph, AllChosen());
+    EXPECT_EQ(with.left_out, 1) << seed;
+    graph.RemoveFactor(wrong);
+    EXPECT_EQ(Calibrated(graph, AllChosen()).left_out, 0) << seed;
   }
 }
 

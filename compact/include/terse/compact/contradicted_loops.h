@@ -33,16 +33,25 @@ std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph);
 // which the kernel leaves a loop out. What is nearer the map judges for itself; slips of the odometry are not among
 // them. Explanations are, in this order: the optimum of all loops next to that by gnc of odometry and of the loops that
 // others near them bear out, which leaves few wrong ones in and the factor sparse; the optimum next to `first`; and,
-// where true loops stand alone, that of the whole by gnc. The first two let in loops that they leave out although they
-// know little of what these measure (open_loops.h), if that contradicts no more and has less chi2, of a loop no more
-// than four times what one true one in a hundred exceeds. A later one has to contradict no more loops than the best
-// before it, and to have less chi2, of a loop no more than one true one in a hundred exceeds, or to explain one loop in
-// twenty more, and one in twenty more of the groups that they are (loop_groups.h). Of up to 500 loops, that of the
-// whole by a kernel twice as wide is a last one, which has to do the latter at less chi2 as that kernel has it.
-// `first`: values by pose index, such as those of a first map, or none. `options.robust`: of the map's solver, with
-// kGnc; its quantile is not looked at. Throws std::invalid_argument as SolveBatch does.
+// where true loops stand alone or there are no more than 500, that of the whole by gnc. The first two let in loops that
+// they leave out although they know little of what these measure (open_loops.h), if that contradicts no more and has
+// less chi2, of a loop no more than four times what one true one in a hundred exceeds. A later one has to have less
+// chi2 than the best before it, of a loop no more than one true one in a hundred exceeds, and to contradict no more
+// loops or to explain one in twenty more of the groups that they are (loop_groups.h); or to explain both one loop and
+// one group in twenty more. Of up to 500 loops, that of the whole by a kernel twice as wide is a last one, which has to
+// do the latter at less chi2 as that kernel has it. `first`: values by pose index, such as those of a first map, or
+// none. `options.robust`: of the map's solver, with kGnc; its quantile is not looked at. Throws std::invalid_argument
+// as SolveBatch does.
 template <class Pose>
-std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, std::vector<Pose> first, BatchOptions options);
+std::vector<FactorId> ContradictedLoops(const PoseGraph<Pose>& graph, const std::vector<Pose>& first,
+                                        BatchOptions options);
+
+// Loops that a map of the graph believes, by what it decided on so many, though no other bears them out and their
+// innovation is one that hardly any of so many true ones has (one run in twenty has such a loop). Where loops are few
+// no other contradicts a wrong one that odometry just allows; so these have to be worth what they cost, and that an
+// explanation holds them is no merit of it.
+template <class Pose>
+std::vector<FactorId> StrainedLoops(const std::vector<Decision>& decisions, long offered, const PoseGraph<Pose>& graph);
 
 // What of a graph a map is made of.
 //
@@ -67,11 +76,13 @@ class LoopJury {
 
   // Before there is a map, if loops are in doubt. True if some are left out now.
   bool JudgeAtFirst();
-  // By a map of what remains, if its loops are in doubt, or if it believes some that no other bears out, with an
-  // innovation that hardly any of so many true ones has (one run in twenty has such a loop). Where loops are few no
-  // other contradicts a wrong one that odometry just allows; so these have to be worth what they cost, and that an
-  // explanation holds them is no merit of it. True if others are left out now, so that it is to be made anew.
+  // By a map of what remains, if its loops are in doubt or some are strained. True if others are left out now, so that
+  // it is to be made anew.
   bool JudgeBy(const CompactRun<Pose>& run);
+  // The same without asking whether there is reason, by the values of a map (by pose index; none: by none).
+  bool JudgeNextTo(const std::vector<Pose>& T_world_body, const std::vector<FactorId>& strained);
+  // As if these had been found, ascending.
+  void LeaveOut(std::vector<FactorId> loops);
   // Of such values by truncated least squares, with the information as residuals show it.
   double CostOf(const std::vector<Pose>& T_world_body) const;
   const std::vector<FactorId>& LeftOut() const { return left_out_; }  // of the graph, ascending
@@ -81,6 +92,7 @@ class LoopJury {
 
  private:
   bool Judge(const std::string& why, const std::vector<Pose>& first, const std::vector<FactorId>& strained = {});
+  void Leave();
   const PoseGraph<Pose>& graph_;
   InformationScale scale_;
   InformationScale without_caution_;  // for judging, where scale_ is one
