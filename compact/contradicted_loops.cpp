@@ -294,7 +294,12 @@ bool LoopJury<Pose>::JudgeNextTo(const std::vector<Pose>& T_world_body, const st
 
 template <class Pose>
 void LoopJury<Pose>::LeaveOut(std::vector<FactorId> loops) {
+  if (loops == left_out_) return;
   left_out_ = std::move(loops);
+  if (!scale_.IsOne()) {
+    const InformationScale again = CalibrateInformation(WithoutFactors(graph_, left_out_)).scale;
+    if (!again.IsOne()) scale_ = again;
+  }
   Leave();
 }
 
@@ -331,12 +336,7 @@ bool LoopJury<Pose>::Judge(const std::string& why, const std::vector<Pose>& firs
     std::sort(found.begin(), found.end());
   }
   if (found == left_out_) return false;
-  left_out_ = std::move(found);
-  if (!scale_.IsOne()) {
-    const InformationScale again = CalibrateInformation(WithoutFactors(graph_, left_out_)).scale;
-    if (!again.IsOne()) scale_ = again;
-  }
-  Leave();
+  LeaveOut(std::move(found));
   return true;
 }
 

@@ -131,8 +131,10 @@ void MeasurementStream<Pose>::AddToOpen(const RelativePoseFactor<Pose>& edge) {
   const PoseId end = other_end(edge);
   if (open_->odometry && slam_->HasSeen(end)) {
     const PoseId before = other_end(*open_->odometry);
-    if (before != end && slam_->NewerOf(before, end) == end) {
-      loops.insert(loops.begin(), std::exchange(*open_->odometry, edge));
+    const bool is_before_known = slam_->HasSeen(before);  // it may have been forgotten as the last pose was closed
+    if (before != end && (!is_before_known || slam_->NewerOf(before, end) == end)) {
+      const RelativePoseFactor<Pose> loop = std::exchange(*open_->odometry, edge);
+      if (is_before_known) loops.insert(loops.begin(), loop);
       return;
     }
   }

@@ -45,35 +45,38 @@ bool AreSame(const Thresholds<Pose>& a, const Thresholds<Pose>& b) {
 }
 
 // Loops and priors that came late stand where they would have come in time: behind what opened the later of their
-// poses. True if that moved any.
+// poses. First of the edges of a pose stands its odometry, that to the latest pose. True if any came late.
 template <class Pose>
 bool PutInTime(std::vector<StreamEvent<Pose>>& events) {
   std::unordered_map<std::int64_t, std::size_t> opened_at;
+  std::unordered_map<std::size_t, std::pair<std::size_t, std::size_t>> odometry;  // by place: of which pose, event
   std::vector<std::size_t> place(events.size()), order(events.size());
   std::size_t newest = 0;
-  bool has_moved = false;
+  bool has_late = false;
   for (std::size_t k = 0; k < events.size(); ++k) {
     place[k] = order[k] = k;
     if (!events[k].factor) continue;
     const FactorPoses ends = PosesOf(*events[k].factor);
-    const auto [first, is_first_new] = opened_at.try_emplace(ends.first.value, k);
-    const std::size_t of_first = first->second;
-    const auto [second, is_second_new] =
-        opened_at.try_emplace(ends.count == 2 ? ends.second.value : ends.first.value, k);
-    if (is_first_new || is_second_new) {
-      newest = k;
-      continue;
-    }
-    place[k] = std::max(of_first, second->second);
-    has_moved = has_moved || place[k] < newest;
+    const std::size_t first = opened_at.try_emplace(ends.first.value, k).first->second;
+    const std::size_t second = ends.count == 2 ? opened_at.try_emplace(ends.second.value, k).first->second : first;
+    place[k] = std::max(first, second);
+    if (place[k] == k) newest = k;
+    has_late = has_late || place[k] < newest;
+    if (ends.count < 2) continue;
+    const auto [latest, is_first] = odometry.try_emplace(place[k], std::min(first, second), k);
+    if (!is_first && std::min(first, second) > latest->second.first) latest->second = {std::min(first, second), k};
   }
-  if (!has_moved) return false;
-  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return place[a] < place[b]; });
+  const auto comes_before = [&](std::size_t a, std::size_t b) {
+    if (place[a] != place[b]) return place[a] < place[b];
+    const auto of_pose = odometry.find(place[a]);
+    return of_pose != odometry.end() && a == of_pose->second.second && b != a;
+  };
+  std::stable_sort(order.begin(), order.end(), comes_before);
   std::vector<StreamEvent<Pose>> sorted;
   sorted.reserve(events.size());
   for (const std::size_t k : order) sorted.push_back(std::move(events[k]));
   events = std::move(sorted);
-  return true;
+  return has_late;
 }
 
 // Edges and priors, poses in the order in which these name them. Factors are numbered from 0.
@@ -323,11 +326,7 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
   }
   // What cannot be told leaves the scale that was found from less.
   const bool is_told = information.verdict != InformationVerdict::kUndetermined;
-  if (!is_told || AreSame(information.scale, beginning.scale)) {
-    information.scale = beginning.scale;
-  } else {
-    is_other = true;
-  }
+  if (!is_told || AreSame(information.scale, beginning.scale)) information.scale = beginning.scale;
   RobustOptions robust = settings.solver.robust;
   if (look.is_early) robust.kernel = RobustKernel::kNone;  // nothing is judged
   LoopJury<Pose> jury(measured.graph, information, robust);
@@ -359,6 +358,7 @@ auto StreamReview<Pose>::LookAt(Beginning beginning) -> Looked {
   } else {
     jury.LeaveOut(left_out_before);
   }
+  is_other = is_other || !AreSame(jury.Scale(), beginning.scale);
   std::vector<FactorId> strained;
   if (choose() || is_other) {
     make_again();

@@ -3,8 +3,8 @@
 //
 // When twice as many loops are there as at the last look (before there are eight of them, twice as many poses, where
 // thresholds are to be chosen), all that was measured so far is looked at again: what its
-// residuals say of the information (CalibrateInformation), which thresholds fit it (SelectThresholds), and, where the
-// map refuses many loops, which of them are wrong (ContradictedLoops). If that is something else than what the map was
+// residuals say of the information (CalibrateInformation), which thresholds fit it (SelectThresholds), and, as a
+// file's are, which loops are wrong (LoopJury). If that is something else than what the map was
 // made with, or loops came late, to poses that it had decided on, the same measurements go through a new one, loops
 // with the later of their poses. All this in a thread of its own, while the stream goes on with the map that it has. It
 // takes the other one over a fixed number of poses later, whether it had to wait for it or not, so that a run can be

@@ -8,11 +8,11 @@
 namespace terse {
 namespace {
 
-constexpr double kUnknownFactor = 0.01;
+constexpr double kUnknownFactor = 0.01, kLeastFactor = 1e-6;
 
 double FactorOf(const ScaleEstimate& odometry, const ScaleEstimate& loops) {
   if (!odometry.determined && !loops.determined) return kUnknownFactor;
-  return std::min({1.0, odometry.sigma_factor, loops.sigma_factor});
+  return std::clamp(std::min(odometry.sigma_factor, loops.sigma_factor), kLeastFactor, 1.0);
 }
 
 }  // namespace
@@ -21,8 +21,10 @@ template <class Pose>
 PackedPrecision ChoosePacking(const PoseGraph<Pose>& graph, double share) {
   if (!(share > 0 && share <= 1))
     throw std::invalid_argument("the share of a standard deviation is above 0 and at most 1");
+  const PackedPrecision unknown{share * kUnknownFactor, share * kUnknownFactor};
+  if (ConnectedComponents(graph).size() != 1) return unknown;
   const InformationEstimate estimate = EstimateInformationScale(graph);
-  if (!estimate.failure.empty()) return {share * kUnknownFactor, share * kUnknownFactor};
+  if (!estimate.failure.empty()) return unknown;
   return {share * FactorOf(estimate.odometry.translation, estimate.loops.translation),
           share * FactorOf(estimate.odometry.rotation, estimate.loops.rotation)};
 }

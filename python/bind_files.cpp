@@ -107,7 +107,7 @@ void BindFiles(py::module_& module) {
   module.def(
       "write_graph", &Write, py::arg("graph"), py::arg("path"), py::kw_only(), py::arg("format") = "g2o",
       py::arg("rotation_information") = "quaternion",
-      "Writes a PoseGraph; format: 'g2o', 'toro' (no priors, no fixed poses) or 'packed' (a thirtieth of g2o, for "
+      "Writes a PoseGraph; format: 'g2o', 'toro' (no priors, no fixed poses) or 'packed' (a twentieth of g2o, for "
       "sending: measurements to a 32nd of the standard deviation that residuals show, no values of poses that are not "
       "fixed). The file appears whole or not at all. "
       "FileError. Without the GIL.");

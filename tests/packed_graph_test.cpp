@@ -52,9 +52,10 @@ void ExpectWithinHalfAStep(const Pose& written, const Pose& read, const typename
   const Vector<D> shift = (read.Inverse() * written).Translation();
   for (int i = 0; i < D; ++i)
     EXPECT_LE(std::abs(shift[i]), 0.5 * precision.translation * sigmas[i] * (1 + 1e-9) + 1e-12);
-  // Steps are of the rotation's coordinates, of which a difference is never less than the turn that it makes.
+  // Half a step in each of a rotation's coordinates, which are as long as the turn or longer.
+  const double step = precision.rotation * sigmas.template tail<N - D>().minCoeff();
   const double turn = (read.Inverse() * written).Log().template tail<N - D>().norm();
-  EXPECT_LE(turn, 0.5 * precision.rotation * sigmas.template tail<N - D>().norm() * (1 + 1e-9) + 1e-12);
+  EXPECT_LE(turn, 0.5 * std::sqrt(N - D) * step * (1 + 1e-9) + 1e-12) << "for the axis that is known best";
 }
 
 template <class Pose>
@@ -164,6 +165,28 @@ TYPED_TEST(PackedGraphTest, IdsAndOrderMayBeAnything) {
   PoseGraph<Pose> alone;
   alone.AddPose({5});
   EXPECT_EQ(ThereAndBack(alone).Poses().size(), 1u);
+}
+
+// A coarse step of one axis is no error of another: robots that turn know yaw better than roll and pitch.
+TEST(PackedGraphFileTest, AxesOfLargeTurnsAreNotMixed) {
+  Random rng(36);
+  PoseGraph<SE3> graph;
+  graph.AddPose({0});
+  const Vector<6> information = (Vector<6>() << 1, 100, 1e4, 1, 1e2, 1e4).finished();
+  for (int k = 1; k < 200; ++k) {
+    graph.AddPose({k});
+    graph.AddFactor(
+        RelativePoseFactor<SE3>{{k - 1}, {k}, testing::RandomMotion<SE3>(rng, 1, 3), information.asDiagonal()});
+  }
+  const PoseGraph<SE3> read = ThereAndBack(graph);
+  double worst = 0;
+  for (std::size_t k = 0; k < graph.Factors().size(); ++k) {
+    const auto& a = std::get<RelativePoseFactor<SE3>>(graph.Factors()[k].factor);
+    const auto& b = std::get<RelativePoseFactor<SE3>>(read.Factors()[k].factor);
+    const Vector<6> off = (b.T_from_to.Inverse() * a.T_from_to).Log();
+    worst = std::max(worst, off.cwiseProduct(information.cwiseSqrt()).cwiseAbs().maxCoeff());
+  }
+  EXPECT_LT(worst, 0.5 / 32 * std::sqrt(3) * 1.1) << "standard deviations of any axis";
 }
 
 TYPED_TEST(PackedGraphTest, InformationOfAnySizeAndCorrelation) {
@@ -294,6 +317,21 @@ TEST(PackedGraphFileTest, ColumnsThatMakeNoGraphAreRefused) {
     refused("packed graph makes no sense", [&](Columns& c) { c.scales = {bad, 0, 0}; });
   }
   refused("packed graph makes no sense", [](Columns& c) { c.pose_kinds = {2, 0}, c.values = {-1, -1, -1}; });
+  for (const std::int64_t bad : {kLeast, std::int64_t{-1}, std::int64_t{3}}) {
+    refused("kind of pose", [&](Columns& c) { c.pose_kinds = {bad, 0}; });
+  }
+}
+
+// A few kilobytes that stand for more poses than there is memory for.
+TEST(PackedGraphFileTest, MoreThanTheMemoryHoldsIsRefusedBeforeItIsTaken) {
+  Columns columns;
+  columns.ids.assign(std::size_t{1} << 22, 1);
+  const std::string small = Refusal(columns);
+  EXPECT_NE(small.find("too short"), std::string::npos) << small;
+  std::string ids = Deflate(columns.ids);
+  EXPECT_EQ(internal::InflatedCount(ids), columns.ids.size());
+  ids[5] = 1;  // 2^40 more
+  EXPECT_EQ(internal::InflatedCount(ids), 0u);
 }
 
 TEST(PackedColumnTest, GoesThereAndBack) {

@@ -272,6 +272,28 @@ TEST(StreamReview, LoopsThatComeLateAreHeardOfInTime) {
   }
 }
 
+// A wrong loop in front of its pose's odometry is left out all the same, and the map is that of any other order.
+TEST(StreamReview, AWrongLoopMayStandBeforeTheOdometry) {
+  const World<SE2> world = MakeWorld<SE2>(87);
+  const PoseGraph<SE2> wrong = AddWrongLoops(world.graph, world.truth, 40, 5, OutlierKind::kRandom).graph;
+  const auto odometry_first = InOrderOfArrival(wrong);
+  auto odometry_last = odometry_first;  // of each pose
+  const auto later = [](const RelativePoseFactor<SE2>& edge) { return std::max(edge.from.value, edge.to.value); };
+  const auto span = [](const RelativePoseFactor<SE2>& edge) { return std::abs(edge.from.value - edge.to.value); };
+  std::stable_sort(odometry_last.begin(), odometry_last.end(), [&](const auto& a, const auto& b) {
+    return later(a) != later(b) ? later(a) < later(b) : span(a) > span(b);
+  });
+  Streamed<SE2> first(Settings<SE2>()), last(Settings<SE2>());
+  for (auto* run : {&first, &last}) {
+    run->stream.StartReviews();
+    for (const auto& factor : run == &first ? odometry_first : odometry_last) run->Add(factor);
+    run->Finish();
+    EXPECT_GT(run->left_out, 50);
+  }
+  EXPECT_EQ(first.left_out, last.left_out);
+  EXPECT_LT(ErrorOf(last.slam, world.truth), 1.1 * ErrorOf(first.slam, world.truth));
+}
+
 // Nothing but odometry contradicts a loop that is the first of a few, and not enough for a map to refuse it.
 TEST(StreamReview, ALoneLoopIsDoubtedAsInAFile) {
   for (const std::uint64_t seed : Seeds(1, 3)) {

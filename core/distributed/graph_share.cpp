@@ -163,8 +163,9 @@ int DimensionOfG2o(const std::string& path) {
     const int dimension = DimensionOfLine(line.text);
     if (dimension != 0) return dimension;
   }
-  throw FileError(path, 0,
-                  "no line is of the g2o format, expected a graph; `terse convert` makes one of TORO and iSAM");
+  throw FileError(
+      path, 0,
+      "no line is of the g2o format, expected a graph; `terse convert` makes one of TORO, iSAM and packed ones");
 }
 
 template <class Pose>

@@ -52,17 +52,27 @@ std::string Deflate(const Column& column) {
   return out;
 }
 
-Column Inflate(const std::string& bytes) {
-  const auto expect = [](bool is_so) {
-    if (!is_so) throw std::invalid_argument("a column that is none");
-  };
-  expect(bytes.size() >= kHeaderBytes);
+std::uint64_t InflatedCount(const std::string& bytes) {
+  if (bytes.size() < kHeaderBytes) return 0;
   std::uint64_t count = 0;
   for (std::size_t k = 0; k < kCountBytes; ++k) {
     count |= static_cast<std::uint64_t>(static_cast<unsigned char>(bytes[k])) << (kBits * k);
   }
   const std::uint64_t planes = static_cast<unsigned char>(bytes[kCountBytes]), packed = bytes.size() - kHeaderBytes;
-  expect(planes >= 1 && planes <= sizeof(std::uint64_t) && count <= kMostRatio * packed);
+  if (planes < 1 || planes > sizeof(std::uint64_t)) return 0;
+  return count <= kMostRatio * packed / planes ? count : 0;
+}
+
+Column Inflate(const std::string& bytes) {
+  const auto expect = [](bool is_so) {
+    if (!is_so) throw std::invalid_argument("a column that is none");
+  };
+  const std::uint64_t count = InflatedCount(bytes);
+  if (count == 0) {
+    expect(bytes == Deflate({}));
+    return {};
+  }
+  const std::uint64_t planes = static_cast<unsigned char>(bytes[kCountBytes]), packed = bytes.size() - kHeaderBytes;
   std::string plain(static_cast<std::size_t>(planes * count), '\0');
   uLongf size = static_cast<uLongf>(plain.size());
   const int status =

@@ -13,6 +13,7 @@
 
 #include "files/read_graph.h"
 #include "terse/core/definite.h"
+#include "terse/core/limits.h"
 #include "terse/core/packed_columns.h"
 #include "terse/core/pose_name.h"
 #include "terse/core/state_file.h"
@@ -121,12 +122,14 @@ Vector<3> RotationOf(const SE3& T) { return T.Rotation().Log(); }
 SE2 TurnedBy(const Vector<1>& theta, const Vector<2>& translation) { return SE2(translation, theta[0]); }
 SE3 TurnedBy(const Vector<3>& phi, const Vector<3>& translation) { return SE3(SO3::Exp(phi), translation); }
 
-// Of a tangent-ordered information matrix: the step of each coordinate.
+// Of a tangent-ordered information matrix: the step of each coordinate. In space one for all three of a rotation, the
+// least of theirs: the coordinates of a large rotation lie along other axes than its residual's.
 template <int D, int N>
 Vector<N> StepsOf(const Matrix<N, N>& information, const PackedPrecision& precision) {
   Vector<N> steps = information.diagonal().cwiseSqrt().cwiseInverse();
   steps.template head<D>() *= precision.translation;
-  steps.template tail<N - D>() *= precision.rotation;
+  if constexpr (N > D)
+    steps.template tail<N - D>().setConstant(precision.rotation * steps.template tail<N - D>().minCoeff());
   return steps;
 }
 
@@ -255,7 +258,7 @@ class Unpacker {
  public:
   static constexpr int D = Pose::kDim, N = Pose::kDof;
   explicit Unpacker(const PackedGraph& packed)
-      : precision_(packed.precision),
+      : precision_((RequireSize(packed), packed.precision)),
         ids_(packed.ids),
         pose_kinds_(packed.pose_kinds),
         values_(packed.values),
@@ -268,7 +271,6 @@ class Unpacker {
         levers_(packed.levers),
         measured_(packed.measured.begin(), packed.measured.end()) {
     if (!IsPrecision(precision_)) throw std::invalid_argument("a precision that is none");
-    if (measured_.size() != static_cast<std::size_t>(N)) throw std::invalid_argument("too few columns, or too many");
   }
 
   PoseGraph<Pose> Unpack() {
@@ -278,6 +280,7 @@ class Unpacker {
       const PoseId pose{static_cast<std::int64_t>(id)};
       poses_.push_back(pose);
       const std::int64_t kind = pose_kinds_.Next();
+      if (kind < kFree || kind > kFixedAtValue) throw std::invalid_argument("a kind of pose that there is not");
       graph_.AddPose(pose, kind == kFixedAtValue ? std::optional<Pose>(ValueFromBits()) : std::nullopt);
       graph_.SetFixed(pose, kind != kFree);
     }
@@ -298,6 +301,23 @@ class Unpacker {
   }
 
  private:
+  // Before anything is inflated: a few bytes may stand for more than there is memory.
+  static void RequireSize(const PackedGraph& packed) {
+    if (packed.measured.size() != static_cast<std::size_t>(N)) {
+      throw std::invalid_argument("too few columns, or too many");
+    }
+    constexpr std::uint64_t kBytesOfAPose = 256, kBytesOfAFactor = 1024, kShare = 2;  // of the memory, at most
+    const auto bytes = [](const std::string& column, std::uint64_t each) {
+      return internal::InflatedCount(column) * (2 * sizeof(std::int64_t) + each);
+    };
+    std::uint64_t total = bytes(packed.ids, kBytesOfAPose) + bytes(packed.kinds, kBytesOfAFactor);
+    for (const std::string* column : {&packed.pose_kinds, &packed.values, &packed.last, &packed.back, &packed.which,
+                                      &packed.scales, &packed.couplings, &packed.levers}) {
+      total += bytes(*column, 0);
+    }
+    for (const std::string& column : packed.measured) total += bytes(column, 0);
+    if (total > UsableMemory() / kShare) throw std::invalid_argument("it is larger than this machine's memory allows");
+  }
   Pose ValueFromBits() {
     Vector<D> translation;
     for (int i = 0; i < D; ++i) translation[i] = OfBits(values_.Next());
@@ -392,7 +412,8 @@ PoseGraph<Pose> Unpacked(const PackedGraph& packed, const std::string& path, con
 }  // namespace
 
 bool LooksPacked(const std::string& path) {
-  if (!std::filesystem::is_regular_file(path)) return false;
+  std::error_code error;
+  if (!std::filesystem::is_regular_file(path, error)) return false;
   std::ifstream file(path, std::ios::binary);
   std::string start(std::strlen(kStateMagic), '\0');
   return file.read(start.data(), static_cast<std::streamsize>(start.size())) && start == kStateMagic;

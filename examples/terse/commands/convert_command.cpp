@@ -15,7 +15,7 @@ namespace {
 
 struct ConvertOptions {
   std::string input, output;
-  double precision = PackedPrecision().translation;
+  std::optional<double> precision;
   ReadOptions read;
 };
 
@@ -69,6 +69,8 @@ void Convert(const ConvertOptions& options) {
     throw std::invalid_argument(options.output +
                                 ": the extension must be .g2o, .graph (TORO), .packed, .tum, .kitti or .txt (KITTI)");
   }
+  if (options.precision && extension != ".packed")
+    throw std::invalid_argument("--precision is that of a .packed graph");
   const bool from_trajectory = LooksLikeTrajectory(options.input);
   if (to_tum || to_kitti) {
     const auto values = [&](const auto& graph) { return TrajectoryOf(graph, options.input); };
@@ -86,7 +88,9 @@ void Convert(const ConvertOptions& options) {
       [&](const auto& graph) {
         if (extension == ".g2o") WriteG2o(graph, options.output);
         if (extension == ".graph") WriteToro(graph, options.output);
-        if (extension == ".packed") WritePacked(graph, options.output, ChoosePacking(graph, options.precision));
+        if (extension == ".packed")
+          WritePacked(graph, options.output,
+                      ChoosePacking(graph, options.precision.value_or(PackedPrecision().translation)));
       },
       file.graph);
 }
@@ -101,7 +105,7 @@ void AddConvertCommand(CLI::App& app) {
   command
       ->add_option(
           "OUT", options->output,
-          "Format by extension: .g2o, .graph (TORO), .packed (a thirtieth of a .g2o, for sending), .tum, .kitti "
+          "Format by extension: .g2o, .graph (TORO), .packed (a twentieth of a .g2o, for sending), .tum, .kitti "
           "or .txt (KITTI trajectory). The rotation information in a .g2o is written as g2o defines it")
       ->required();
   command

@@ -73,8 +73,9 @@ template <class Pose>
 void WriteToro(const PoseGraph<Pose>& graph, const std::string& path);
 
 // To what a packed graph keeps its measurements, in stated standard deviations (of a coordinate given the others, along
-// the axes of the residual). A step of p adds p^2 / 12 to the variance. Where the information is far more cautious than
-// the measurements are, as a unit matrix is, that is too coarse: ChoosePacking (terse/covariance/packing.h).
+// the axes of the residual; of a rotation in space the least of the three). A step of p adds p^2 / 12 to the variance.
+// Where the information is far more cautious than the measurements are, as a unit matrix is, that is too coarse:
+// ChoosePacking (terse/covariance/packing.h).
 struct PackedPrecision {
   double translation = 1.0 / 32, rotation = 1.0 / 32;
 };

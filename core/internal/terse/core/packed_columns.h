@@ -12,6 +12,8 @@ using Column = std::vector<std::int64_t>;
 // Near zero, of either sign, become small ones without (zigzag); then the lowest byte of all, the next of all and so on
 // as far as one is not zero, deflated by zlib.
 std::string Deflate(const Column& column);
+// How many there are by what it says, no more than it can hold; 0 if this is none.
+std::uint64_t InflatedCount(const std::string& bytes);
 // Throws std::invalid_argument if this is none. Memory is bounded by what the bytes can hold, whatever they promise.
 Column Inflate(const std::string& bytes);
 
