@@ -132,6 +132,7 @@ TEST_F(Command, PackedGraphsAreReadWhereverGraphsAre) {
   Succeed("convert town.g2o coarse.packed --precision 0.5");
   EXPECT_LT(Read("coarse.packed").size(), Read("town.packed").size());
   ExpectFailure("convert town.g2o x.packed --precision 0", 2, "--precision");
+  ExpectFailure("convert town.g2o x.g2o --precision 0.1", 1, "--precision is for a .packed graph, OUT is x.g2o");
   ExpectFailure("convert town.packed x.tum", 1, "pose 0 has no value");
   Write("damaged.packed", Read("town.packed").substr(0, 500));
   ExpectFailure("solve damaged.packed", 1, "damaged.packed: the file is truncated");

@@ -9,6 +9,7 @@
 #include "terse/core/batch_solver.h"
 #include "terse/core/generate.h"
 #include "terse/core/graph_file.h"
+#include "terse/core/limits.h"
 #include "terse/core/packed_columns.h"
 #include "terse/core/state_file.h"
 #include "testing.h"
@@ -271,12 +272,12 @@ struct Columns {
   std::vector<Column> measured = {{10}, {0}, {0}};
 };
 
-std::string Refusal(const Columns& c) {
+std::string Refusal(const Columns& c, const std::string& kinds = "") {
   StateWriter writer("packed graph");
   writer(c.dimension, c.translation, c.rotation);
   for (const Column* column :
        {&c.ids, &c.pose_kinds, &c.values, &c.kinds, &c.last, &c.back, &c.which, &c.scales, &c.couplings, &c.levers}) {
-    writer(Deflate(*column));
+    writer(column == &c.kinds && !kinds.empty() ? kinds : Deflate(*column));
   }
   std::vector<std::string> measured;
   for (const Column& column : c.measured) measured.push_back(Deflate(column));
@@ -322,16 +323,18 @@ TEST(PackedGraphFileTest, ColumnsThatMakeNoGraphAreRefused) {
   }
 }
 
-// A few kilobytes that stand for more poses than there is memory for.
+// Some kilobytes that stand for more factors than there is memory for.
 TEST(PackedGraphFileTest, MoreThanTheMemoryHoldsIsRefusedBeforeItIsTaken) {
-  Columns columns;
-  columns.ids.assign(std::size_t{1} << 22, 1);
-  const std::string small = Refusal(columns);
-  EXPECT_NE(small.find("too short"), std::string::npos) << small;
-  std::string ids = Deflate(columns.ids);
-  EXPECT_EQ(internal::InflatedCount(ids), columns.ids.size());
-  ids[5] = 1;  // 2^40 more
-  EXPECT_EQ(internal::InflatedCount(ids), 0u);
+  const std::uint64_t count = UsableMemory() / 1024;
+  std::string kinds;
+  for (int k = 0; k < 8; ++k) kinds += static_cast<char>(count >> (8 * k) & 0xff);
+  kinds += '\1';
+  kinds.append(static_cast<std::size_t>(count / 1000), '\0');
+  EXPECT_EQ(internal::InflatedCount(kinds), count);
+  const std::string text = Refusal({}, kinds);
+  EXPECT_NE(text.find("larger than this machine's memory allows"), std::string::npos) << text;
+  kinds[5] = 1;  // 2^40 more
+  EXPECT_EQ(internal::InflatedCount(kinds), 0u);
 }
 
 TEST(PackedColumnTest, GoesThereAndBack) {

@@ -2,8 +2,7 @@
 
 #include <zlib.h>
 
-#include <algorithm>
-#include <cstring>
+#include <new>
 #include <stdexcept>
 
 namespace terse::internal {

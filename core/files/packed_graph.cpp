@@ -1,7 +1,6 @@
 #include "files/packed_graph.h"
 
 #include <Eigen/Cholesky>
-#include <array>
 #include <cmath>
 #include <cstring>
 #include <filesystem>
@@ -51,23 +50,45 @@ double OfBits(std::int64_t bits) {
 // Poses that are not fixed have no values in the file.
 enum PoseKind : std::int64_t { kFree, kFixedSomewhere, kFixedAtValue };
 
-// In the file, each as Deflate makes it. Columns of several numbers a row have them one after the other.
+// As integers (Column), as they are read (ColumnReader), or as Deflate makes them (std::string). Columns of several
+// numbers a row have them one after the other.
+template <class T>
+struct Columns {
+  T ids;                    // of poses, each less the one before
+  T pose_kinds;             // see PoseKind
+  T values;                 // of fixed poses: bits of the translation, then of the rotation's coordinates
+  T kinds;                  // of factors: index of the variant
+  T last;                   // index of a factor's later pose, less that of the factor before
+  T back;                   // of edges: how much earlier the other pose is; below zero: the later pose is `from`
+  T which;                  // information: 0 a new one, k the k-th new one once more
+  T scales, couplings;      // of new ones, see RootOf
+  T levers;                 // of position priors: bits
+  std::vector<T> measured;  // by coordinate, in steps
+
+  template <class Visit>
+  void ForEach(const Visit& visit) const {
+    for (const T* column : {&ids, &pose_kinds, &values, &kinds, &last, &back, &which, &scales, &couplings, &levers}) {
+      visit(*column);
+    }
+    for (const T& column : measured) visit(column);
+  }
+  template <class To, class Make>
+  Columns<To> As(const Make& make) const {
+    std::vector<To> of_measured;
+    for (const T& column : measured) of_measured.push_back(make(column));
+    return {make(ids),    make(pose_kinds), make(values), make(kinds),           make(last), make(back), make(which),
+            make(scales), make(couplings),  make(levers), std::move(of_measured)};
+  }
+};
+
 struct PackedGraph {
   int dimension = 0;  // 2, 3
   PackedPrecision precision;
-  std::string ids;                // of poses, each less the one before
-  std::string pose_kinds;         // see PoseKind
-  std::string values;             // of fixed poses: bits of the translation, then of the rotation's coordinates
-  std::string kinds;              // of factors: index of the variant
-  std::string last;               // index of a factor's later pose, less that of the factor before
-  std::string back;               // of edges: how much earlier the other pose is; below zero: the later pose is `from`
-  std::string which;              // information: 0 a new one, k the k-th new one once more
-  std::string scales, couplings;  // of new ones, see RootOf
-  std::string levers;             // of position priors: bits
-  std::vector<std::string> measured;  // by coordinate, in steps
+  Columns<std::string> columns;
 
   template <class Archive>
   void Serialize(Archive& archive) {
+    auto& [ids, pose_kinds, values, kinds, last, back, which, scales, couplings, levers, measured] = columns;
     archive(dimension, precision.translation, precision.rotation, ids, pose_kinds, values, kinds, last, back, which,
             scales, couplings, levers, measured);
   }
@@ -142,14 +163,14 @@ template <class Pose>
 class Packer {
  public:
   static constexpr int D = Pose::kDim, N = Pose::kDof;
-  explicit Packer(const PackedPrecision& precision) : precision_(precision) {}
+  explicit Packer(const PackedPrecision& precision) : precision_(precision) { columns_.measured.resize(Pose::kDof); }
 
   PackedGraph Pack(const PoseGraph<Pose>& graph) {
     std::int64_t id = 0;
     for (const auto& pose : graph.Poses()) {
-      ids_.push_back(Difference(pose.id.value, std::exchange(id, pose.id.value)));
+      columns_.ids.push_back(Difference(pose.id.value, std::exchange(id, pose.id.value)));
       const PoseKind kind = !pose.fixed ? kFree : pose.T_world_body ? kFixedAtValue : kFixedSomewhere;
-      pose_kinds_.push_back(kind);
+      columns_.pose_kinds.push_back(kind);
       if (kind == kFixedAtValue) AddBits(*pose.T_world_body);
     }
     for (const auto& node : graph.Factors()) {
@@ -161,24 +182,9 @@ class Packer {
                                                : "a prior on " + Name(poses.first)) +
                              " cannot be packed: " + error.what());
       }
-      kinds_.push_back(static_cast<std::int64_t>(node.factor.index()));
+      columns_.kinds.push_back(static_cast<std::int64_t>(node.factor.index()));
     }
-    PackedGraph out;
-    out.dimension = D;
-    out.precision = precision_;
-    const std::pair<std::string*, const Column*> columns[] = {{&out.ids, &ids_},
-                                                              {&out.pose_kinds, &pose_kinds_},
-                                                              {&out.values, &values_},
-                                                              {&out.kinds, &kinds_},
-                                                              {&out.last, &last_},
-                                                              {&out.back, &back_},
-                                                              {&out.which, &which_},
-                                                              {&out.scales, &scales_},
-                                                              {&out.couplings, &couplings_},
-                                                              {&out.levers, &levers_}};
-    for (const auto& [bytes, column] : columns) *bytes = internal::Deflate(*column);
-    for (const Column& column : measured_) out.measured.push_back(internal::Deflate(column));
-    return out;
+    return {D, precision_, columns_.template As<std::string>(internal::Deflate)};
   }
 
  private:
@@ -187,15 +193,15 @@ class Packer {
     return static_cast<std::int64_t>(static_cast<std::uint64_t>(a) - static_cast<std::uint64_t>(b));
   }
   void AddBits(const Pose& T) {
-    for (int i = 0; i < D; ++i) values_.push_back(BitsOf(T.Translation()[i]));
+    for (int i = 0; i < D; ++i) columns_.values.push_back(BitsOf(T.Translation()[i]));
     const auto rotation = RotationOf(T);
-    for (int i = 0; i < N - D; ++i) values_.push_back(BitsOf(rotation[i]));
+    for (int i = 0; i < N - D; ++i) columns_.values.push_back(BitsOf(rotation[i]));
   }
-  void AddLast(int index) { last_.push_back(index - std::exchange(before_, index)); }
+  void AddLast(int index) { columns_.last.push_back(index - std::exchange(before_, index)); }
   void Add(const RelativePoseFactor<Pose>& factor, const PoseGraph<Pose>& graph) {
     const int from = graph.IndexOf(factor.from), to = graph.IndexOf(factor.to);
     AddLast(std::max(from, to));
-    back_.push_back(to - from);
+    columns_.back.push_back(to - from);
     AddPose(factor.T_from_to, factor.information);
   }
   void Add(const PosePriorFactor<Pose>& factor, const PoseGraph<Pose>& graph) {
@@ -206,8 +212,8 @@ class Packer {
     AddLast(graph.IndexOf(factor.pose));
     const Vector<D> steps = StepsOf<D, D>(AddInformation<D>(factor.information), precision_);
     for (int i = 0; i < D; ++i) {
-      measured_[static_cast<std::size_t>(i)].push_back(ToSteps(factor.p_world[i], steps[i]));
-      levers_.push_back(BitsOf(factor.p_body[i]));
+      columns_.measured[static_cast<std::size_t>(i)].push_back(ToSteps(factor.p_world[i], steps[i]));
+      columns_.levers.push_back(BitsOf(factor.p_body[i]));
     }
   }
   void AddPose(const Pose& T, const Matrix<N, N>& information) {
@@ -215,11 +221,11 @@ class Packer {
     Vector<N - D> turned = RotationOf(T);
     for (int i = D; i < N; ++i) {
       const std::int64_t count = ToSteps(turned[i - D], steps[i]);
-      measured_[static_cast<std::size_t>(i)].push_back(count);
+      columns_.measured[static_cast<std::size_t>(i)].push_back(count);
       turned[i - D] = static_cast<double>(count) * steps[i];
     }
     const Vector<D> along = TurnedBy(turned, Vector<D>::Zero()).Inverse() * T.Translation();
-    for (int i = 0; i < D; ++i) measured_[static_cast<std::size_t>(i)].push_back(ToSteps(along[i], steps[i]));
+    for (int i = 0; i < D; ++i) columns_.measured[static_cast<std::size_t>(i)].push_back(ToSteps(along[i], steps[i]));
   }
   // The matrix as it will be read.
   template <int M>
@@ -229,12 +235,12 @@ class Packer {
     const auto add = [&](auto& known) {
       const auto [entry, is_new] = known.try_emplace(bits);
       if (is_new) {
-        entry->second = {++matrices_, PackInformation<M>(information, scales_, couplings_)};
+        entry->second = {++matrices_, PackInformation<M>(information, columns_.scales, columns_.couplings)};
         if (!IsDefinite<M>(entry->second.second)) {
           throw std::invalid_argument("its information is too near to one that is not positive definite");
         }
       }
-      which_.push_back(is_new ? 0 : entry->second.first);
+      columns_.which.push_back(is_new ? 0 : entry->second.first);
       return entry->second.second;
     };
     if constexpr (M == N) return add(full_);
@@ -244,8 +250,7 @@ class Packer {
   using Numbered = std::unordered_map<std::string, std::pair<std::int64_t, Matrix<M, M>>>;  // by the bits as stated
 
   PackedPrecision precision_;
-  Column ids_, pose_kinds_, values_, kinds_, last_, back_, which_, scales_, couplings_, levers_;
-  std::array<Column, Pose::kDof> measured_;
+  Columns<Column> columns_;
   int before_ = 0;
   std::int64_t matrices_ = 0;
   Numbered<N> full_;
@@ -258,71 +263,53 @@ class Unpacker {
  public:
   static constexpr int D = Pose::kDim, N = Pose::kDof;
   explicit Unpacker(const PackedGraph& packed)
-      : precision_((RequireSize(packed), packed.precision)),
-        ids_(packed.ids),
-        pose_kinds_(packed.pose_kinds),
-        values_(packed.values),
-        kinds_(packed.kinds),
-        last_(packed.last),
-        back_(packed.back),
-        which_(packed.which),
-        scales_(packed.scales),
-        couplings_(packed.couplings),
-        levers_(packed.levers),
-        measured_(packed.measured.begin(), packed.measured.end()) {
+      : precision_((RequireSize(packed.columns), packed.precision)),
+        columns_(
+            packed.columns.template As<ColumnReader>([](const std::string& bytes) { return ColumnReader(bytes); })) {
     if (!IsPrecision(precision_)) throw std::invalid_argument("a precision that is none");
   }
 
   PoseGraph<Pose> Unpack() {
     std::uint64_t id = 0;
-    while (ids_.Left() > 0) {
-      id += static_cast<std::uint64_t>(ids_.Next());
+    while (columns_.ids.Left() > 0) {
+      id += static_cast<std::uint64_t>(columns_.ids.Next());
       const PoseId pose{static_cast<std::int64_t>(id)};
       poses_.push_back(pose);
-      const std::int64_t kind = pose_kinds_.Next();
+      const std::int64_t kind = columns_.pose_kinds.Next();
       if (kind < kFree || kind > kFixedAtValue) throw std::invalid_argument("a kind of pose that there is not");
       graph_.AddPose(pose, kind == kFixedAtValue ? std::optional<Pose>(ValueFromBits()) : std::nullopt);
       graph_.SetFixed(pose, kind != kFree);
     }
-    while (kinds_.Left() > 0) {
-      switch (kinds_.Next()) {
+    while (columns_.kinds.Left() > 0) {
+      switch (columns_.kinds.Next()) {
         case 0: graph_.AddFactor(NextEdge()); break;
         case 1: graph_.AddFactor(NextPosePrior()); break;
         case 2: graph_.AddFactor(NextPositionPrior()); break;
         default: throw std::invalid_argument("a kind of factor that there is not");
       }
     }
-    for (const ColumnReader* column :
-         {&pose_kinds_, &values_, &last_, &back_, &which_, &scales_, &couplings_, &levers_}) {
-      column->Finish();
-    }
-    for (const ColumnReader& column : measured_) column.Finish();
+    columns_.ForEach([](const ColumnReader& column) { column.Finish(); });
     return std::move(graph_);
   }
 
  private:
   // Before anything is inflated: a few bytes may stand for more than there is memory.
-  static void RequireSize(const PackedGraph& packed) {
+  static void RequireSize(const Columns<std::string>& packed) {
     if (packed.measured.size() != static_cast<std::size_t>(N)) {
       throw std::invalid_argument("too few columns, or too many");
     }
     constexpr std::uint64_t kBytesOfAPose = 256, kBytesOfAFactor = 1024, kShare = 2;  // of the memory, at most
-    const auto bytes = [](const std::string& column, std::uint64_t each) {
-      return internal::InflatedCount(column) * (2 * sizeof(std::int64_t) + each);
-    };
-    std::uint64_t total = bytes(packed.ids, kBytesOfAPose) + bytes(packed.kinds, kBytesOfAFactor);
-    for (const std::string* column : {&packed.pose_kinds, &packed.values, &packed.last, &packed.back, &packed.which,
-                                      &packed.scales, &packed.couplings, &packed.levers}) {
-      total += bytes(*column, 0);
-    }
-    for (const std::string& column : packed.measured) total += bytes(column, 0);
+    std::uint64_t total =
+        kBytesOfAPose * internal::InflatedCount(packed.ids) + kBytesOfAFactor * internal::InflatedCount(packed.kinds);
+    packed.ForEach(
+        [&](const std::string& column) { total += 2 * sizeof(std::int64_t) * internal::InflatedCount(column); });
     if (total > UsableMemory() / kShare) throw std::invalid_argument("it is larger than this machine's memory allows");
   }
   Pose ValueFromBits() {
     Vector<D> translation;
-    for (int i = 0; i < D; ++i) translation[i] = OfBits(values_.Next());
+    for (int i = 0; i < D; ++i) translation[i] = OfBits(columns_.values.Next());
     Vector<N - D> rotation;
-    for (int i = 0; i < N - D; ++i) rotation[i] = OfBits(values_.Next());
+    for (int i = 0; i < N - D; ++i) rotation[i] = OfBits(columns_.values.Next());
     if (!translation.allFinite() || !rotation.allFinite()) throw std::invalid_argument("a pose that is not finite");
     return TurnedBy(rotation, translation);
   }
@@ -333,10 +320,12 @@ class Unpacker {
     return poses_[static_cast<std::size_t>(index)];
   }
   // Wraps around instead of overflowing; PoseAt looks at it.
-  std::int64_t NextLast() { return static_cast<std::int64_t>(before_ += static_cast<std::uint64_t>(last_.Next())); }
+  std::int64_t NextLast() {
+    return static_cast<std::int64_t>(before_ += static_cast<std::uint64_t>(columns_.last.Next()));
+  }
   RelativePoseFactor<Pose> NextEdge() {
     RelativePoseFactor<Pose> out;
-    const std::int64_t last = NextLast(), back = back_.Next();
+    const std::int64_t last = NextLast(), back = columns_.back.Next();
     const PoseId later = PoseAt(last);
     if (back > last || back < -last) throw std::invalid_argument("a pose that there is not");
     const PoseId earlier = PoseAt(last - std::abs(back));
@@ -359,15 +348,16 @@ class Unpacker {
     out.information = NextInformation<D>(of_positions_);
     const Vector<D> steps = StepsOf<D, D>(out.information, precision_);
     for (int i = 0; i < D; ++i) {
-      out.p_world[i] = static_cast<double>(measured_[static_cast<std::size_t>(i)].Next()) * steps[i];
-      out.p_body[i] = OfBits(levers_.Next());
+      out.p_world[i] = static_cast<double>(columns_.measured[static_cast<std::size_t>(i)].Next()) * steps[i];
+      out.p_body[i] = OfBits(columns_.levers.Next());
     }
     return out;
   }
   Pose NextPose(const Matrix<N, N>& information) {
     const Vector<N> steps = StepsOf<D, N>(information, precision_);
     Vector<N> x;
-    for (int i = 0; i < N; ++i) x[i] = static_cast<double>(measured_[static_cast<std::size_t>(i)].Next()) * steps[i];
+    for (int i = 0; i < N; ++i)
+      x[i] = static_cast<double>(columns_.measured[static_cast<std::size_t>(i)].Next()) * steps[i];
     if (!x.allFinite()) throw std::invalid_argument("a measurement that is not finite");
     const Vector<N - D> rotation = x.template tail<N - D>();
     const Pose turn = TurnedBy(rotation, Vector<D>::Zero());
@@ -377,16 +367,15 @@ class Unpacker {
   using Matrices = std::unordered_map<std::int64_t, Matrix<M, M>>;  // by number, over both sizes
   template <int M>
   Matrix<M, M> NextInformation(Matrices<M>& known) {
-    const std::int64_t number = which_.Next();
-    if (number == 0) return known[++matrices_] = UnpackInformation<M>(scales_, couplings_);
+    const std::int64_t number = columns_.which.Next();
+    if (number == 0) return known[++matrices_] = UnpackInformation<M>(columns_.scales, columns_.couplings);
     const auto found = known.find(number);
     if (found == known.end()) throw std::invalid_argument("an information matrix that there is not");
     return found->second;
   }
 
   PackedPrecision precision_;
-  ColumnReader ids_, pose_kinds_, values_, kinds_, last_, back_, which_, scales_, couplings_, levers_;
-  std::vector<ColumnReader> measured_;
+  Columns<ColumnReader> columns_;
   std::vector<PoseId> poses_;
   std::uint64_t before_ = 0;
   std::int64_t matrices_ = 0;

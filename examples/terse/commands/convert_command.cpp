@@ -69,8 +69,9 @@ void Convert(const ConvertOptions& options) {
     throw std::invalid_argument(options.output +
                                 ": the extension must be .g2o, .graph (TORO), .packed, .tum, .kitti or .txt (KITTI)");
   }
-  if (options.precision && extension != ".packed")
-    throw std::invalid_argument("--precision is that of a .packed graph");
+  if (options.precision && extension != ".packed") {
+    throw std::invalid_argument("--precision is for a .packed graph, OUT is " + options.output);
+  }
   const bool from_trajectory = LooksLikeTrajectory(options.input);
   if (to_tum || to_kitti) {
     const auto values = [&](const auto& graph) { return TrajectoryOf(graph, options.input); };
