@@ -141,7 +141,7 @@ void ComputeFrontCovariance(const Front<B>& front, const double* parent, int ldp
   Reserve(scratch.K, At(ldv) * At(s));
   Reserve(scratch.M, At(ldv) * At(s));
   double *V = scratch.V.data(), *K = scratch.K.data(), *M = scratch.M.data();
-  InverseTransposed(front.panel.data(), ld, p, V, ldv, scratch.corner);
+  InverseTransposed(front.panel.Numbers(), ld, p, V, ldv, scratch.corner);
   if (s > 0) {
     // K' = L_PP^-T L_SP' (p x s).
     for (int r0 = 0; r0 < ldv; r0 += kChunk) {

@@ -8,16 +8,17 @@
 #include <cmath>
 #include <cstdio>
 #include <exception>
+#include <utility>
 
 using namespace terse;
 
 int main(int argc, char** argv) try {
   const auto graph = std::get<PoseGraph<SE3>>(ReadGraph(argc > 1 ? argv[1] : "data/ellipse.g2o").graph);
-  const auto solved = SolveBatch(graph);
+  auto solved = SolveBatch(graph);
   if (!solved.Converged()) std::printf("not converged: %s\n", solved.message.c_str());
 
   // Of the result's own factor; nothing is factored again.
-  const Marginals<SE3> marginals(graph, solved);
+  const Marginals<SE3> marginals(graph, std::move(solved));
 
   // 6x6 blocks of T Exp([rho; phi]): metres and radians, in the body frame.
   const auto all = marginals.AllMarginals();

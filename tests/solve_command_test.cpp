@@ -276,6 +276,34 @@ TEST_F(SolveCommand, UnwritableOutputExitsWith1AndLeavesNothing) {
   EXPECT_EQ(FileCount(), 2);
 }
 
+TEST_F(SolveCommand, AFactorInAFileGivesTheSame) {
+  // /tmp and /var/tmp may be in memory.
+  setenv("TMPDIR", std::filesystem::path(TERSE_COMMAND).parent_path().c_str(), 1);
+  Succeed("generate sphere --poses 400 --output in.g2o");
+  Succeed("solve in.g2o --output memory.g2o --covariance-output memory.csv --stats memory.json");
+  const Outcome outcome =
+      Succeed("solve in.g2o --factor-memory 0.000001 --output file.g2o --covariance-output file.csv --stats file.json");
+  EXPECT_EQ(Read("file.g2o"), Read("memory.g2o"));
+  EXPECT_EQ(Read("file.csv"), Read("memory.csv"));
+  EXPECT_NE(outcome.out.find("was in a file"), std::string::npos) << outcome.out;
+  EXPECT_FALSE(JsonFile("memory.json").contains("factor_bytes_in_file"));
+  EXPECT_GT(JsonFile("file.json")["factor_bytes_in_file"], 100000);
+  const long before = FileCount();
+  setenv("TMPDIR", "/no/such/folder", 1);
+  ExpectFailure("solve in.g2o --factor-memory 0.000001 --output o.g2o", 1, "/no/such/folder: cannot store");
+  EXPECT_EQ(FileCount(), before);
+  setenv("TMPDIR", std::filesystem::path(TERSE_COMMAND).parent_path().c_str(), 1);
+  ExpectFailure("solve in.g2o --factor-memory 0", 2, "not a number above 0");
+  ExpectFailure("solve in.g2o --factor-memory nan", 2, "not a number above 0");
+  for (const char* plenty : {"1e30", "1e300"}) {
+    Succeed(std::string("solve in.g2o --stats plenty.json --factor-memory ") + plenty);
+    EXPECT_FALSE(JsonFile("plenty.json").contains("factor_bytes_in_file"));
+  }
+  Succeed("solve in.g2o --mode incremental --stats incremental.json --factor-memory 1e-30");
+  EXPECT_GT(JsonFile("incremental.json")["factor_bytes_in_file"], 100000);
+  unsetenv("TMPDIR");
+}
+
 // Two positions at one place leave the rotation about it free: solved as the first pose lies, and said so.
 TEST_F(SolveCommand, AFreeTurnIsSolvedAndSaidSo) {
   Write("in.g2o", "EDGE_SE2 0 1 0 0 0 1 0 0 1 0 1\nEDGE_PRIOR_SE2_XY 0 1 1 1 0 1\nEDGE_PRIOR_SE2_XY 1 1 1 1 0 1\n");

@@ -88,7 +88,8 @@ void ExpectSameTree(const BlockCholesky<Pose::kDof>& a, const BlockCholesky<Pose
     ASSERT_EQ(f.separators, g.separators);
     const std::size_t rows = static_cast<std::size_t>(f.Rows());
     for (std::size_t c = 0; c < static_cast<std::size_t>(f.Columns()); ++c) {
-      for (std::size_t r = c; r < rows; ++r) ASSERT_EQ(f.panel[c * rows + r], g.panel[c * rows + r]);
+      for (std::size_t r = c; r < rows; ++r)
+        ASSERT_EQ(f.panel.Numbers()[c * rows + r], g.panel.Numbers()[c * rows + r]);
     }
   }
 }

@@ -92,7 +92,7 @@ class Run {
   void PrepareCholesky() {
     result_.cholesky = BlockCholesky<B>();
     result_.cholesky.SetThreads(options_.threads);
-    result_.cholesky.DropUpdateMatrices();
+    result_.cholesky.DropUpdateMatrices(options_.most_factor_bytes);
     result_.cholesky.SetProgress(options_.factor_progress);
   }
 

@@ -65,7 +65,7 @@ class LeastSquares {
       : poses_(poses), columns_(columns), X_(3 * poses * At(Stride(columns)), 0.0) {
     factor_.SetOrder(options.order);
     factor_.SetThreads(options.threads);
-    factor_.DropUpdateMatrices();
+    factor_.DropUpdateMatrices(options.most_factor_bytes);
     factor_.SetProgress(options.factor_progress);
   }
 

@@ -42,7 +42,7 @@ class Comparison {
     internal::RequireOrder(options_.order, graph.Poses().size());
     factor_.SetOrder(options_.order);
     factor_.SetThreads(options.threads);
-    factor_.DropUpdateMatrices();
+    factor_.DropUpdateMatrices(options.most_factor_bytes);
     factor_.SetProgress(options.factor_progress);
   }
 
@@ -238,7 +238,8 @@ StartChoice<Pose> ChooseStart(const PoseGraph<Pose>& graph, const StartOptions& 
 template <class Pose>
 StartChoice<Pose> StartFor(const PoseGraph<Pose>& graph, const BatchOptions& options) {
   if (options.robust.kernel == RobustKernel::kNone && !graph.Poses().empty()) {
-    return ChooseStart(graph, {options.threads, options.log, options.factor_progress, options.order});
+    return ChooseStart(
+        graph, {options.threads, options.log, options.factor_progress, options.order, options.most_factor_bytes});
   }
   return {InitialValues::kCompose, ComputeInitialValues(graph, InitialValues::kCompose), {}, {}};
 }

@@ -16,6 +16,7 @@ void BackSubstitution<B>::Visit(Front<B>& front, const BlockSystem<B>& system, d
   double* const moved = moved_.data();
   front.CopyRightHandSide(x_.data());
   BackSubstituteFront(front, d, x_.data());
+  front.panel.Release();
   for (std::size_t k = 0; k < front.pivots.size(); ++k) {
     const int v = front.pivots[k];
     Eigen::Map<Vector<B>> old(d + At(v) * B);

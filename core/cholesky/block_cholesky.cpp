@@ -102,8 +102,9 @@ void BlockCholesky<B>::LimitReordering(double flops) {
 }
 
 template <int B>
-void BlockCholesky<B>::DropUpdateMatrices() {
-  parts_->numbers.DropUpdates();
+void BlockCholesky<B>::DropUpdateMatrices(std::uint64_t most_bytes_of_L) {
+  parts_->numbers.DropUpdates(most_bytes_of_L);
+  system_.DropNormals();
 }
 
 template <int B>
@@ -322,6 +323,15 @@ double BlockCholesky<B>::NewtonDecrement() const {
 template <int B>
 std::int64_t BlockCholesky<B>::Nonzeros() const {
   return parts_->tree.Nonzeros();
+}
+
+template <int B>
+std::uint64_t BlockCholesky<B>::BytesInFile() const {
+  std::uint64_t sum = 0;
+  parts_->tree.ForEach([&](int, const internal::Front<B>& front) {
+    if (front.panel.HasPlace()) sum += front.panel.Size() * sizeof(double);
+  });
+  return sum;
 }
 
 template <int B>

@@ -22,13 +22,6 @@ constexpr size_t kMostRemembered = 256, kMostSteps = 32;
 constexpr size_t kFewDetached = 16;
 constexpr size_t kChunk = 256;  // linear factors or variables that a thread takes at a time
 
-template <int B>
-void SetNormal(const LinearFactor<B>& f, typename BlockSystem<B>::Normal& n) {
-  internal::Kernels().normal_blocks(f.A_first.data(), f.second < 0 ? nullptr : f.A_second.data(), f.residual.data(), B,
-                                    n.H_first.data(), n.H_second.data(), n.H_cross.data(), n.b_first.data(),
-                                    n.b_second.data());
-}
-
 // Where many of these slots go from a variable's list, they go in one pass: taking all factors of a hub out costs no
 // more than their number.
 template <int B>
@@ -83,6 +76,13 @@ void BlockSystem<B>::Detach(int slot) {
 }
 
 template <int B>
+void BlockSystem<B>::SetNormal(const LinearFactor<B>& f, Normal& n) {
+  internal::Kernels().normal_blocks(f.A_first.data(), f.second < 0 ? nullptr : f.A_second.data(), f.residual.data(), B,
+                                    n.H_first.data(), n.H_second.data(), n.H_cross.data(), n.b_first.data(),
+                                    n.b_second.data());
+}
+
+template <int B>
 typename BlockSystem<B>::Normal BlockSystem<B>::NormalOf(const LinearFactor<B>& factor) {
   Normal n;
   SetNormal(factor, n);
@@ -93,21 +93,28 @@ typename BlockSystem<B>::Normal BlockSystem<B>::NormalOf(const LinearFactor<B>& 
 template <int B>
 void BlockSystem<B>::SetSlot(int slot, const LinearFactor<B>& factor) {
   factors_[At(slot)] = factor;
-  SetNormal(factor, normals_[At(slot)]);
+  if (has_normals_) SetNormal(factor, normals_[At(slot)]);
 }
 
 // The same, and `factor` is what was there.
 template <int B>
 void BlockSystem<B>::ExchangeSlot(int slot, LinearFactor<B>& factor) {
   std::swap(factors_[At(slot)], factor);
-  SetNormal(factors_[At(slot)], normals_[At(slot)]);
+  if (has_normals_) SetNormal(factors_[At(slot)], normals_[At(slot)]);
+}
+
+template <int B>
+void BlockSystem<B>::DropNormals() {
+  has_normals_ = false;
+  normals_ = {};
 }
 
 // What a factor adds to the diagonal of one of its variables.
 template <int B>
 Vector<B> BlockSystem<B>::DiagonalPart(int variable, int slot) const {
-  const Normal& n = normals_[At(slot)];
-  return (factors_[At(slot)].first == variable ? n.H_first : n.H_second).diagonal();
+  const bool is_first = factors_[At(slot)].first == variable;
+  if (has_normals_) return (is_first ? normals_[At(slot)].H_first : normals_[At(slot)].H_second).diagonal();
+  return (is_first ? factors_[At(slot)].A_first : factors_[At(slot)].A_second).colwise().squaredNorm();
 }
 
 // From its factors in the order of their slots, so that nothing is left of what has gone. Of a hub, block by block.
@@ -195,7 +202,7 @@ void BlockSystem<B>::Apply(const Changes& changes, Replaced replaced, Undo& undo
   // Neither committing nor taking back allocates.
   internal::ReserveMore(free_slots_, changes.added.size() + changes.removed.size());
   internal::ReserveMore(factors_, changes.added.size());
-  internal::ReserveMore(normals_, changes.added.size());
+  if (has_normals_) internal::ReserveMore(normals_, changes.added.size());
   const size_t total = slots_of_.size() + At(changes.new_variables);
   slots_of_.resize(total);
   diagonal_.resize(total, Vector<B>::Zero());
@@ -220,7 +227,7 @@ void BlockSystem<B>::Apply(const Changes& changes, Replaced replaced, Undo& undo
     int slot = static_cast<int>(factors_.size());
     if (free_slots_.empty()) {
       factors_.emplace_back();
-      normals_.resize(factors_.size());
+      if (has_normals_) normals_.resize(factors_.size());
     } else {
       slot = free_slots_.back();
       free_slots_.pop_back();
@@ -332,7 +339,7 @@ void BlockSystem<B>::ExchangeLinearFactors(std::vector<LinearFactor<B>>& factors
 // Of the first `slots`, after their linear factors.
 template <int B>
 void BlockSystem<B>::RenewNormals(size_t slots, int threads) {
-  internal::SpreadChunks(threads, slots, kChunk, [&](size_t begin, size_t end) {
+  internal::SpreadChunks(threads, has_normals_ ? slots : 0, kChunk, [&](size_t begin, size_t end) {
     for (size_t k = begin; k < end; ++k) SetNormal(factors_[k], normals_[k]);
   });
   internal::SpreadChunks(threads, slots_of_.size(), kChunk, [&](size_t begin, size_t end) {
@@ -386,12 +393,13 @@ std::optional<std::vector<typename BlockSystem<B>::SlotChange>> BlockSystem<B>::
 template <int B>
 template <class Archive>
 void BlockSystem<B>::Serialize(Archive& archive) {
-  auto& [factors, normals, free_slots, slots_of, diagonal, hub_sums, history] = *this;
+  auto& [factors, normals, has_normals, free_slots, slots_of, diagonal, hub_sums, history] = *this;
   archive(factors, free_slots);
 }
 
 template <int B>
 void BlockSystem<B>::Rebuild(size_t variables) {
+  has_normals_ = true;
   normals_.assign(factors_.size(), Normal());
   slots_of_.assign(variables, {});
   diagonal_.assign(variables, Vector<B>::Zero());

@@ -3,10 +3,13 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <limits>
 #include <mutex>
 #include <utility>
 
 #include "terse/core/dense_kernels.h"
+#include "terse/core/error.h"
+#include "terse/core/limits.h"
 #include "terse/core/parallel.h"
 #include "terse/core/state_file.h"
 
@@ -16,7 +19,8 @@ namespace {
 using std::size_t;
 
 constexpr double kSingular = 4e-15;
-constexpr double kParallelFlops = 2e7;  // from which it pays to wake other threads
+constexpr size_t kAlwaysInMemory = size_t{64} << 20;  // bytes of panels: so few are not worth asking for
+constexpr double kParallelFlops = 2e7;                // from which it pays to wake other threads
 
 // Sum of the squared column counts.
 double FactorFlops(double rows, double pivots) {
@@ -29,7 +33,7 @@ double FactorFlops(double rows, double pivots) {
 template <int B>
 double* Target(Front<B>& front, int row, int column) {
   const int p = front.Columns(), rows = front.Rows();
-  if (column < p) return front.panel.data() + At(column) * At(rows) + At(row);
+  if (column < p) return front.panel.Buffer() + At(column) * At(rows) + At(row);
   return front.update.data() + At(column - p) * At(rows - p) + At(row - p);
 }
 
@@ -199,7 +203,7 @@ void AddUnordered(Front<B>& front, const Front<B>& child, const std::vector<int>
 template <int B>
 void FrontFactorization<B>::AssembleChild(Part part, Front<B>& front, const Front<B>& child, Scratch& scratch) {
   const int blocks = child.update_separators, p = front.Columns(), rows = front.Rows();
-  auto& [row_of, at, run_end, updates] = scratch;
+  auto& [row_of, at, run_end, updates, normals] = scratch;
   at.resize(At(blocks));
   run_end.resize(At(blocks));
   bool ascends = true;
@@ -216,7 +220,7 @@ void FrontFactorization<B>::AssembleChild(Part part, Front<B>& front, const Fron
   }
   const int split = static_cast<int>(std::lower_bound(at.begin(), at.end(), p) - at.begin());
   if (part == Part::kPanel) {
-    Kernels().extend_add(front.panel.data(), rows, child.update.data(), child.UpdateRows(), at.data(), run_end.data(),
+    Kernels().extend_add(front.panel.Buffer(), rows, child.update.data(), child.UpdateRows(), at.data(), run_end.data(),
                          0, split, blocks, rows - 1, B);
   } else {
     for (int k = split; k < blocks; ++k) at[At(k)] -= p;
@@ -230,8 +234,9 @@ template <int B>
 void FrontFactorization<B>::Assemble(Part part, Front<B>& front, const Sources& from, Scratch& scratch) {
   const int p = front.Columns();
   const auto holds = [&](int column) { return (column < p) == (part == Part::kPanel); };
-  for (const int slot : front.slots) {
-    const typename BlockSystem<B>::Normal* normal = &from.system.NormalAt(slot);
+  for (size_t k = 0; k < front.slots.size(); ++k) {
+    const int slot = front.slots[k];
+    const auto* normal = from.system.HasNormals() ? &from.system.NormalAt(slot) : &scratch.normals[k];
     if (from.instead != nullptr) {
       const auto it = from.instead->find(slot);
       if (it != from.instead->end()) normal = &it->second;
@@ -247,19 +252,56 @@ void FrontFactorization<B>::Assemble(Part part, Front<B>& front, const Sources& 
 template <int B>
 int FrontFactorization<B>::FactorFront(Front<B>& front, const Sources& from, Scratch& scratch, bool parallel) {
   const int rows = front.Rows(), p = front.Columns(), n = rows - p;
-  ClearLower(front.panel.data(), rows, p);
+  ClearLower(front.panel.Buffer(), rows, p);
   front.update_separators = static_cast<int>(front.separators.size());
   front.corrections.clear();
   front.ForEachRow([&](int v, int row) { scratch.row_of[At(v)] = row; });
+  if (!from.system.HasNormals()) {
+    scratch.normals.resize(std::max(scratch.normals.size(), front.slots.size()));
+    for (size_t k = 0; k < front.slots.size(); ++k) {
+      BlockSystem<B>::SetNormal(from.system.LinearFactorAt(front.slots[k]), scratch.normals[k]);
+    }
+  }
   Assemble(Part::kPanel, front, from, scratch);
   if (!from.damping.empty()) {
     for (int c = 0; c < p; ++c) *front.Entry(c, c) += from.damping[At(front.pivots[At(c / B)]) * B + At(c % B)];
   }
-  const int failed = FactorPanel(front.panel.data(), rows, p, parallel);
+  const int failed = FactorPanel(front.panel.Buffer(), rows, p, parallel);
   if (failed >= 0) return front.pivots[At(failed / B)];
-  SetNegativeSquare(front.update.data(), n, front.panel.data() + p, rows, n, n, p, parallel);
+  SetNegativeSquare(front.update.data(), n, front.panel.Buffer() + p, rows, n, n, p, parallel);
   Assemble(Part::kUpdate, front, from, scratch);
   return SumPivots(front, 0, from.system);
+}
+
+// Null where they stay in memory: there they go, too, by default, if there is no room on the disk but in memory.
+template <int B>
+std::shared_ptr<PanelFile> FrontFactorization<B>::OpenFileFor(size_t numbers) const {
+  const size_t bytes = numbers * sizeof(double);
+  if (most_bytes_ > 0) return bytes > most_bytes_ ? std::make_shared<PanelFile>(numbers) : nullptr;
+  const std::uint64_t free = bytes > kAlwaysInMemory ? FreeMemory() : std::numeric_limits<std::uint64_t>::max();
+  if (bytes <= free / 2) return nullptr;
+  try {
+    return std::make_shared<PanelFile>(numbers);
+  } catch (const FileError&) {
+    if (bytes > free) throw;
+    return nullptr;
+  }
+}
+
+template <int B>
+void FrontFactorization<B>::PlacePanels(const std::vector<Front<B>*>& fronts, const std::vector<int>& order) const {
+  const auto size_of = [](const Front<B>& front) { return At(front.Rows()) * At(front.Columns()); };
+  size_t needed = 0;
+  for (const Front<B>* front : fronts) needed += front->panel.Size() < size_of(*front) ? size_of(*front) : 0;
+  const std::shared_ptr<PanelFile> file = OpenFileFor(needed);
+  if (!file) return;
+  size_t at = 0;
+  for (const int k : order) {
+    Front<B>& front = *fronts[At(k)];
+    if (front.panel.Size() >= size_of(front)) continue;
+    front.panel.SetPlace(file, at, size_of(front));
+    at += size_of(front);
+  }
 }
 
 template <int B>
@@ -272,12 +314,16 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
   const int count = static_cast<int>(fronts.size());
   const bool drops = drops_updates_;
   const ChildLists children = drops ? ChildLists(parents) : ChildLists();
+  const std::vector<int> postorder = children.Postorder();  // a subtree at a time, so that few update matrices wait
+  if (drops) PlacePanels(fronts, postorder);
   has_dropped_ = has_dropped_ || drops;  // if this fails the tree is what it was before, or not usable
   const auto take_buffers = [&](Front<B>& front, Scratch& scratch) {
     const size_t rows = At(front.Rows()), columns = At(front.Columns()), n = rows - columns;
-    if (front.panel.size() < rows * columns) {
+    if (front.panel.HasPlace()) {
+      front.panel.BeginStoring(scratch.updates.Take(rows * columns));
+    } else if (front.panel.Size() < rows * columns) {
       // The pool is nobody's who works beside others.
-      front.panel = drops ? std::vector<double>(rows * columns) : pool_.Take(rows * columns);
+      front.panel.SetBuffer(drops ? std::vector<double>(rows * columns) : pool_.Take(rows * columns));
     }
     if (front.update.size() < n * n) front.update = drops ? scratch.updates.Take(n * n) : pool_.Take(n * n);
   };
@@ -287,7 +333,9 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
   const auto factor = [&](int k, Scratch& scratch, bool parallel) {
     int seen = end;
     if (k > seen) return;
+    if (drops) take_buffers(*fronts[At(k)], scratch);
     failed[At(k)] = FactorFront(*fronts[At(k)], from, scratch, parallel);
+    if (fronts[At(k)]->panel.HasPlace()) scratch.updates.Give(fronts[At(k)]->panel.Store());
     children.ForEach(k, [&](int child) {
       std::vector<double>& update = fronts[At(child)]->update;
       if (update.size() >= ShortLivedBuffers::kLeast) scratch.updates.Give(std::move(update));
@@ -301,18 +349,10 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
     }
     thread_scratch_.resize(At(threads_));
     for (Scratch& scratch : thread_scratch_) scratch.row_of.resize(scratch_.row_of.size());
-    WithThreads(threads_, [&] {
-      ForEachBottomUp(parents, [&](int k) {
-        Scratch& scratch = thread_scratch_[ThreadIndex()];
-        if (drops) take_buffers(*fronts[At(k)], scratch);
-        factor(k, scratch, true);
-      });
-    });
-  } else if (drops) {  // a subtree at a time, so that few update matrices wait
-    for (const int k : children.Postorder()) {
-      take_buffers(*fronts[At(k)], scratch_);
-      factor(k, scratch_, false);
-    }
+    WithThreads(threads_,
+                [&] { ForEachBottomUp(parents, [&](int k) { factor(k, thread_scratch_[ThreadIndex()], true); }); });
+  } else if (drops) {
+    for (const int k : postorder) factor(k, scratch_, false);
   } else {
     for (int k = 0; k < std::min(count, end + 1); ++k) {
       take_buffers(*fronts[At(k)], scratch_);
@@ -330,7 +370,7 @@ int FrontFactorization<B>::SumPivots(Front<B>& front, int first_column, const Bl
   const int rows = front.Rows(), p = front.Columns();
   front.log_det = front.y2 = 0;
   for (int c = 0; c < p; ++c) {
-    const double* column = front.panel.data() + At(c) * At(rows);
+    const double* column = front.panel.Buffer() + At(c) * At(rows);
     const double pivot = column[c], y = column[rows - 1];
     // What is left of a direction that nothing measures is rounding of what was assembled.
     if (c >= first_column && !(pivot * pivot > kSingular * system.DiagonalOf(front.pivots[At(c / B)])[c % B])) {
@@ -382,7 +422,7 @@ template <int B>
 template <class Archive>
 void FrontFactorization<B>::Serialize(Archive& archive) {
   // The rest is scratch; a factor without update matrices is not stored.
-  auto& [scratch, thread_scratch, pool, threads, drops_updates, has_dropped, progress] = *this;
+  auto& [scratch, thread_scratch, pool, threads, drops_updates, has_dropped, most_bytes, progress] = *this;
   archive(threads);
 }
 

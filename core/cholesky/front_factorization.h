@@ -2,7 +2,9 @@
 // The numbers of fronts: assembly from the block system and from the children's update matrices, and partial
 // factorisation.
 
+#include <cstdint>
 #include <functional>
+#include <memory>
 #include <string>
 #include <unordered_map>
 #include <utility>
@@ -55,8 +57,12 @@ class FrontFactorization {
   // measures, or -1.
   static int SumPivots(Front<B>& front, int first_column, const BlockSystem<B>& system);
 
-  // FactorAll of a whole tree then gives each update matrix away as soon as the parent has taken it.
-  void DropUpdates() { drops_updates_ = true; }
+  // FactorAll of a whole tree then gives each update matrix away as soon as the parent has taken it, and stores panels
+  // in a file if they take more than so many bytes in all (BlockCholesky::DropUpdateMatrices).
+  void DropUpdates(std::uint64_t most_bytes) {
+    drops_updates_ = true;
+    most_bytes_ = most_bytes;
+  }
   bool HasDropped() const { return has_dropped_; }
   // FactorAll tells the share of its work that is done: from any of its threads, from one at a time.
   void SetProgress(std::function<void(double share)> progress) { progress_ = std::move(progress); }
@@ -79,13 +85,17 @@ class FrontFactorization {
     const Normals* instead = nullptr;
   };
   struct Scratch {
-    std::vector<int> row_of;       // by variable
-    std::vector<int> at, run_end;  // by separator of a child
-    ShortLivedBuffers updates;     // where none is kept
+    std::vector<int> row_of;                               // by variable
+    std::vector<int> at, run_end;                          // by separator of a child
+    ShortLivedBuffers updates;                             // where none is kept
+    std::vector<typename BlockSystem<B>::Normal> normals;  // of the front's slots, where the system has none
   };
   // May run for several fronts at once, if parallel also with threads of its own inside one. scratch: of the calling
   // thread, which takes no other front while it waits for those (ForEachChunk).
   static int FactorFront(Front<B>& front, const Sources& from, Scratch& scratch, bool parallel);
+  std::shared_ptr<PanelFile> OpenFileFor(std::size_t numbers) const;
+  // In a file for panels that have no room yet, in this order, or nowhere if memory has room for all.
+  void PlacePanels(const std::vector<Front<B>*>& fronts, const std::vector<int>& order) const;
   enum class Part { kPanel, kUpdate };
   static void Assemble(Part part, Front<B>& front, const Sources& from, Scratch& scratch);
   static void AssembleChild(Part part, Front<B>& front, const Front<B>& child, Scratch& scratch);
@@ -95,6 +105,7 @@ class FrontFactorization {
   BufferPool pool_;
   int threads_ = 1;
   bool drops_updates_ = false, has_dropped_ = false;
+  std::uint64_t most_bytes_ = 0;
   std::function<void(double share)> progress_;
 };
 

@@ -65,8 +65,12 @@ void SolveDense(const FrontTree<B>& tree, std::vector<double>& X, int stride) {
   tree.ForEach([&](int, const Front<B>& front) { fronts.push_back(&front); });
   for (auto front = fronts.rbegin(); front != fronts.rend(); ++front) {
     ForwardFront<B>(**front, 0, row_of, X.data(), stride, scratch);
+    (*front)->panel.Release();
   }
-  for (const Front<B>* front : fronts) BackwardFront<B>(*front, 0, false, row_of, X.data(), stride, scratch);
+  for (const Front<B>* front : fronts) {
+    BackwardFront<B>(*front, 0, false, row_of, X.data(), stride, scratch);
+    front->panel.Release();
+  }
 }
 
 template <int B>

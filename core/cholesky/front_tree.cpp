@@ -15,14 +15,17 @@ bool AreBelow(const std::vector<int>& numbers, size_t n, int least = 0) {
   return std::all_of(numbers.begin(), numbers.end(), [&](int i) { return i >= least && (i < 0 || At(i) < n); });
 }
 
-// The lower trapezoid of a column-major matrix. What is above is never read.
+// For a matrix of which the lower trapezoid comes next.
 template <class Archive>
-void SerializeLower(Archive& archive, std::vector<double>& matrix, int rows, int columns) {
-  if constexpr (Archive::kReads) {
-    archive.Require(At(rows) * At(columns) / 2, sizeof(double));
-    matrix.assign(At(rows) * At(columns), 0.0);
-  }
-  for (int c = 0; c < columns; ++c) archive.Doubles(matrix.data() + At(c) * At(rows) + At(c), At(rows - c));
+std::vector<double> RoomFor(Archive& archive, int rows, int columns) {
+  archive.Require(At(rows) * At(columns) / 2, sizeof(double));
+  return std::vector<double>(At(rows) * At(columns));
+}
+
+// The lower trapezoid of a column-major matrix. What is above is never read.
+template <class Archive, class Number>
+void SerializeLower(Archive& archive, Number* matrix, int rows, int columns) {
+  for (int c = 0; c < columns; ++c) archive.Doubles(matrix + At(c) * At(rows) + At(c), At(rows - c));
 }
 
 }  // namespace
@@ -82,7 +85,7 @@ void FrontTree<B>::Replace(const std::vector<int>& gone, const std::vector<char>
   ReserveMore(free_fronts_, gone.size());
   ReserveMore(fronts_, pending.size());
   for (const int f : gone) {
-    pool.MakeRoom(fronts_[At(f)].panel.size());
+    pool.MakeRoom(fronts_[At(f)].panel.Size());
     pool.MakeRoom(fronts_[At(f)].update.size());
   }
   // From here on nothing allocates.
@@ -91,7 +94,7 @@ void FrontTree<B>::Replace(const std::vector<int>& gone, const std::vector<char>
     Front<B>& front = fronts_[At(f)];
     log_det_ -= front.log_det;
     y2_ -= front.y2;
-    pool.Give(std::move(front.panel));
+    pool.Give(front.panel.TakeBuffer());
     pool.Give(std::move(front.update));
     front = Front<B>();
     free_fronts_.push_back(f);
@@ -135,8 +138,8 @@ void FrontTree<B>::Exchange(int id, Front<B>&& changed, std::uint64_t version, B
   front.y2 = changed.y2;
   front.pivots.swap(changed.pivots);
   front.separators.swap(changed.separators);
-  front.panel.swap(changed.panel);
-  pool.Give(std::move(changed.panel));
+  front.panel.Swap(changed.panel);
+  pool.Give(changed.panel.TakeBuffer());
   if (front.parent >= 0) front.corrections.push_back(std::move(changed.corrections.front()));
   front.slots.insert(front.slots.end(), changed.slots.begin(), changed.slots.end());
   front.fresh = true;
@@ -150,7 +153,7 @@ void FrontTree<B>::ExchangeNumbers(int id, Front<B>& other, std::uint64_t versio
   y2_ += other.y2 - front.y2;
   std::swap(front.log_det, other.log_det);
   std::swap(front.y2, other.y2);
-  front.panel.swap(other.panel);
+  front.panel.Swap(other.panel);
   front.update.swap(other.update);
   std::swap(front.update_separators, other.update_separators);
   front.corrections.swap(other.corrections);
@@ -204,9 +207,15 @@ void FrontTree<B>::SerializeFront(Archive& archive, Front<B>& front, std::uint64
     }
   }
   if (pivots.empty()) return;  // a free one
-  SerializeLower(archive, panel, front.Rows(), front.Columns());
-  const int n = front.UpdateRows();
-  SerializeLower(archive, update, n, n);
+  const int rows = front.Rows(), columns = front.Columns(), n = front.UpdateRows();
+  if constexpr (Archive::kReads) {
+    panel.SetBuffer(RoomFor(archive, rows, columns));
+    SerializeLower(archive, panel.Buffer(), rows, columns);
+    update = RoomFor(archive, n, n);
+  } else {
+    SerializeLower(archive, panel.Numbers(), rows, columns);
+  }
+  SerializeLower(archive, update.data(), n, n);
   archive.Each(corrections, [&](Correction& correction) {
     auto& [count, columns, W] = correction;
     archive(count, columns, W);

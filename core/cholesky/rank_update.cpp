@@ -68,7 +68,7 @@ int Append(UpdateContext<B>& update) {
     parents.push_back(up < old_variables ? update.tree.FrontOf(up) : -1 - (up - old_variables));
     front.ordered_rows = front.Rows();
     front.ordered_columns = front.Columns();
-    front.panel.resize(At(front.Rows()) * B);
+    front.panel.SetBuffer(std::vector<double>(At(front.Rows()) * B));
     front.update.resize((B + 1) * (B + 1));
     const int failed = update.numbers.Factor(front, {}, system, update.tree);
     if (failed >= 0) return failed;
@@ -262,7 +262,7 @@ int RankUpdate<B>::FillColumns(const Front<B>& front, const Below& below, Update
 template <int B>
 void RankUpdate<B>::WidenPanel(Front<B>& front, const Front<B>& old, BufferPool& pool) {
   const int rows = front.Rows(), p = front.Columns(), old_rows = old.Rows(), old_p = old.Columns();
-  front.panel = pool.Take(At(rows) * At(p));
+  front.panel.SetBuffer(pool.Take(At(rows) * At(p)));
   for (int c = 0; c < p; ++c) {
     double* column = front.Entry(0, c);
     if (c >= old_p) {
@@ -310,7 +310,7 @@ int RankUpdate<B>::UpdateFront(const Front<B>& old, Front<B>& front, const Below
   front.corrections.push_back(std::move(correction));
   pool.MakeRoom(W.size());
   pool.Give(std::move(W));
-  pool.MakeRoom(old.panel.size());
+  pool.MakeRoom(old.panel.Size());
   return FrontFactorization<B>::SumPivots(front, old.Columns(), update.system);
 }
 

@@ -266,7 +266,7 @@ int Region<B>::RefactorAsOrdered(UpdateContext<B>& update) {
     fronts.push_back(&front);
     parents.push_back(now.parent < 0 ? -1 : place(now.parent));
     update.report.variables += static_cast<int>(now.pivots.size());
-    update.numbers.Pool().MakeRoom(now.panel.size());
+    update.numbers.Pool().MakeRoom(now.panel.Size());
     update.numbers.Pool().MakeRoom(now.update.size());
   }
   const int failed = update.numbers.FactorAll(fronts, parents, pending, update.system, tree, {}, update.report.flops);
@@ -276,7 +276,7 @@ int Region<B>::RefactorAsOrdered(UpdateContext<B>& update) {
   for (int k = 0; k < count; ++k) {
     Front<B>& old = pending[At(k)];
     tree.ExchangeNumbers(paths.IdAt(count - 1 - k), old, update.version);
-    update.numbers.Pool().Give(std::move(old.panel));
+    update.numbers.Pool().Give(old.panel.TakeBuffer());
     update.numbers.Pool().Give(std::move(old.update));
   }
   return -1;

@@ -1,14 +1,12 @@
 #include "terse/core/read_file.h"
 
 #include <fcntl.h>
-#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <fstream>
 
 #include "terse/core/descriptor.h"
 #include "terse/core/error.h"
@@ -42,26 +40,6 @@ FileError TooLarge(const std::string& path, std::uint64_t most) {
   return FileError(path, 0, "the file is too large or has no end, expected at most " + Mebibytes(most));
 }
 
-// "max" where there is no limit.
-std::uint64_t NumberIn(const char* path) {
-  std::ifstream file(path);
-  std::uint64_t number = 0;
-  return file >> number ? number : UINT64_MAX;
-}
-
-std::uint64_t FindUsableMemory() {
-  std::uint64_t least = UINT64_MAX;
-  const long pages = ::sysconf(_SC_PHYS_PAGES), page = ::sysconf(_SC_PAGESIZE);
-  if (pages > 0 && page > 0) least = static_cast<std::uint64_t>(pages) * static_cast<std::uint64_t>(page);
-  least = std::min(least, NumberIn("/sys/fs/cgroup/memory.max"));
-  least = std::min(least, NumberIn("/sys/fs/cgroup/memory/memory.limit_in_bytes"));
-  rlimit limit{};
-  if (::getrlimit(RLIMIT_AS, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY) {
-    least = std::min<std::uint64_t>(least, limit.rlim_cur);
-  }
-  return least;
-}
-
 void ExpectText(const std::string& path, std::string_view content) {
   const std::size_t nul = content.find('\0');
   if (nul == std::string_view::npos) return;
@@ -70,16 +48,6 @@ void ExpectText(const std::string& path, std::string_view content) {
 }
 
 }  // namespace
-
-std::uint64_t UsableMemory() {
-  static const std::uint64_t bytes = FindUsableMemory();
-  return bytes;
-}
-
-std::uint64_t MostFileBytes(std::uint64_t limit, std::uint64_t share_of_memory) {
-  constexpr std::uint64_t kMebibyte = std::uint64_t{1} << 20;
-  return std::min(limit, std::max(UsableMemory() / share_of_memory / kMebibyte, std::uint64_t{1}) * kMebibyte);
-}
 
 std::string ReadAll(const std::string& path, const ReadLimits& limits) {
   const Descriptor file(path);

@@ -106,6 +106,7 @@ void OpenMissingDescriptors() {
 int main(int argc, char** argv) {
   OpenMissingDescriptors();
   for (const int signal : {SIGINT, SIGTERM, SIGHUP, SIGPIPE}) std::signal(signal, RemoveFilesAndExit);
+  std::signal(SIGXFSZ, SIG_IGN);  // a file beyond `ulimit -f` is an error like a full disk
   std::ios::sync_with_stdio(false);
   try {
     return Run(argc, argv);

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <iostream>
@@ -52,6 +53,7 @@ struct SolveOptions {
   bool paper_flops = false;
   RobustOptions robust;
   int threads = 1;
+  std::optional<double> factor_memory;  // GiB
   bool certify = false, quiet = false;
   LogSink log;
 };
@@ -92,12 +94,19 @@ BatchResult<Pose> JudgeLoops(const PoseGraph<Pose>& graph, BatchResult<Pose> res
   });
 }
 
+// 0: by default.
+std::uint64_t MostFactorBytes(const SolveOptions& options) {
+  if (!options.factor_memory) return 0;
+  return static_cast<std::uint64_t>(std::clamp(std::ldexp(*options.factor_memory, 30), 1.0, std::ldexp(1.0, 62)));
+}
+
 template <class Pose>
 BatchResult<Pose> RunBatch(const PoseGraph<Pose>& graph, const SolveOptions& options, Stats& stats) {
   const double start = SecondsNow();
   BatchProgress progress(options.quiet);
   BatchOptions batch;
   batch.threads = options.threads;
+  batch.most_factor_bytes = MostFactorBytes(options);
   batch.robust = options.robust;
   batch.log = options.log;
   batch.progress = [&](int iteration, double) {
@@ -153,6 +162,7 @@ BatchResult<Pose> RunIncremental(const PoseGraph<Pose>& graph, const SolveOption
   stats.more["chi2_before_finish"] = solver.Chi2();
   BatchOptions finish;
   finish.threads = options.threads;
+  finish.most_factor_bytes = MostFactorBytes(options);
   BatchResult<Pose> result = solver.Finish(finish);
   stats.more["restarts"] = solver.Restarts();
   OrderAsIn(graph, options.every, solver.Graph(), result);
@@ -227,12 +237,13 @@ std::string CertificateInWords(const nlohmann::ordered_json& found) {
 }
 
 template <class Pose>
-void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& result, const SolveOptions& options) {
+void WriteCovariances(const PoseGraph<Pose>& graph, const BatchResult<Pose>& result, BlockCholesky<Pose::kDof> cholesky,
+                      const SolveOptions& options) {
   std::vector<PoseId> ids;
   for (const auto& node : graph.Poses()) ids.push_back(node.id);
   // The factor of an incremental run numbers its variables in order of arrival: factor again in the graph's order.
   const Marginals<Pose> marginals = options.mode == Mode::kBatch
-                                        ? Marginals<Pose>(graph, result)
+                                        ? Marginals<Pose>(graph, result.T_world_body, std::move(cholesky))
                                         : Marginals<Pose>(WithWeights(graph, result.weights), result.T_world_body);
   const std::string undetermined = DescribeUndetermined(graph, result.T_world_body);
   if (!undetermined.empty() && !options.quiet) std::cerr << "terse: warning: " << undetermined << '\n';
@@ -266,13 +277,17 @@ void PrintSummary(const Stats& stats, bool output_taken) {
   out << (robust ? "chi2 without weights, rejected loops included, " : "chi2 ") << stats.chi2 << ", "
       << stats.termination << " after " << stats.iterations << (stats.iterations == 1 ? " iteration" : " iterations")
       << ", " << stats.seconds_total << " s\n";
+  if (stats.more.contains("factor_bytes_in_file")) {
+    out << "the factor, " << stats.more["factor_bytes_in_file"].get<double>() / (1 << 20)
+        << " MiB, was in a file ($TMPDIR or /var/tmp), not in memory\n";
+  }
   if (stats.more.contains("certificate")) out << CertificateInWords(stats.more["certificate"]) << '\n';
   FlushOutput();
 }
 
 template <class Pose>
 void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats, double start) {
-  const BatchResult<Pose> result =
+  BatchResult<Pose> result =
       options.mode == Mode::kBatch ? RunBatch(graph, options, stats) : RunIncremental(graph, options, stats);
   RequireOptimum(result);
   stats.poses = graph.Poses().size();
@@ -284,10 +299,12 @@ void SolveGraph(PoseGraph<Pose> graph, const SolveOptions& options, Stats stats,
   stats.converged = result.Converged();
   stats.termination = Name(result.termination);
   stats.phases = result.seconds;
+  const std::uint64_t in_file = result.cholesky.BytesInFile();
+  if (in_file > 0) stats.more["factor_bytes_in_file"] = in_file;
   if (!result.weights.empty()) AddRobustStats(graph, result, options.robust, stats);
   if (options.covariances == Covariances::kLast || options.covariances == Covariances::kDiagonal) {
     const double before = SecondsNow();
-    WriteCovariances(graph, result, options);
+    WriteCovariances(graph, result, std::move(result.cholesky), options);
     stats.seconds_covariance = SecondsNow() - before;
   }
   if (options.certify) AddCertificate(graph, result, options, stats);
@@ -336,6 +353,10 @@ std::string FindSizeDefect(const std::string& text) {
   char* end = nullptr;
   const double value = std::strtod(text.c_str(), &end);
   return *end == 0 && !text.empty() && std::isfinite(value) && value >= 0 ? "" : text + " is not a number from 0 up";
+}
+std::string FindPositiveDefect(const std::string& text) {
+  return FindSizeDefect(text).empty() && std::strtod(text.c_str(), nullptr) > 0 ? ""
+                                                                                : text + " is not a number above 0";
 }
 std::string FindNumberDefect(const std::string& text) {
   char* end = nullptr;
@@ -443,6 +464,12 @@ void AddSolveCommand(CLI::App& app) {
   command->add_option("--threads", options->threads, "Upper limit of threads; the result does not depend on it")
       ->check(CLI::PositiveNumber.description(""))
       ->type_name("N");
+  command
+      ->add_option("--factor-memory", options->factor_memory,
+                   "The factor goes to a file in $TMPDIR, or else /var/tmp, if it takes more than so many GiB (by "
+                   "default more than half of the memory that is free)")
+      ->check(FindPositiveDefect)
+      ->type_name("GIB");
   command->add_flag("--quiet", options->quiet, "Print nothing but errors");
   AddVerboseOption(*command, options->log);
   command->footer(

@@ -30,7 +30,7 @@ template <class Pose>
 std::vector<Pose> StartValues(const PoseGraph<Pose>& graph, InitialValues method, BatchOptions& options,
                               nlohmann::ordered_json& stats) {
   const bool automatic = method == InitialValues::kAuto;
-  StartOptions start_options{options.threads, options.log, options.factor_progress, {}};
+  StartOptions start_options{options.threads, options.log, options.factor_progress, {}, options.most_factor_bytes};
   if (method == InitialValues::kChordal) start_options.order = options.order = EliminationOrder(graph);
   StartChoice<Pose> start = automatic
                                 ? StartFor(graph, options)

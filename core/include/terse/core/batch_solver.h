@@ -9,6 +9,7 @@
 // gauge.h describes. Throws std::invalid_argument for misuse (sizes, an empty graph); everything numerical is reported
 // in the result.
 
+#include <cstdint>
 #include <functional>
 #include <optional>
 #include <string>
@@ -40,6 +41,9 @@ struct BatchOptions {
   // Of elimination, pose indices (elimination_order.h); empty: one is looked for. With a robust kernel it always is,
   // for the loops that have weight.
   std::vector<int> order;
+  // The factor goes to a file if it takes more than so many bytes (BlockCholesky::DropUpdateMatrices); FileError if
+  // there is no room. 0: than half of the memory that is free when it is made.
+  std::uint64_t most_factor_bytes = 0;
   RobustOptions robust;
   // The relative factors that the kernel is for; absent: LoopFactors. The others must hold every pose.
   std::optional<std::vector<FactorId>> robust_factors;

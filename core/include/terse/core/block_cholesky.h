@@ -130,8 +130,11 @@ class BlockCholesky {
   void LimitReordering(double flops);
   // For those who factor all at once, in a batch: update matrices go as soon as they have been assembled, and the next
   // ones take their memory while it is in the caches. An Update later on factors everything again; nothing can be made
-  // ready in pieces.
-  void DropUpdateMatrices();
+  // ready in pieces, and System() has no NormalAt. L goes to a file without a name, in $TMPDIR or else /var/tmp, if it
+  // takes more than so many bytes: Update throws FileError if the folder has no room. 0: if it takes more than half of
+  // the memory that is free when it is made, and 64 MiB; what has no room there stays in memory as long as that has.
+  // A copy of the factor is in memory.
+  void DropUpdateMatrices(std::uint64_t most_bytes_of_L = 0);
   // Told the share of the work of a factorisation that is done, after every front: from any of its threads, from one at
   // a time. Neither copied with the factor nor stored.
   void SetProgress(std::function<void(double share)> progress);
@@ -167,9 +170,10 @@ class BlockCholesky {
   const LinearFactor<B>& LinearFactorAt(int slot) const { return system_.LinearFactorAt(slot); }
   const std::vector<int>& SlotsOf(int variable) const { return system_.SlotsOf(variable); }
 
-  double LogDeterminant() const;   // ln det H
-  double NewtonDecrement() const;  // |y|^2 = b' H^-1 b: the predicted decrease of chi2
-  std::int64_t Nonzeros() const;   // scalars of the lower triangle of L
+  double LogDeterminant() const;      // ln det H
+  double NewtonDecrement() const;     // |y|^2 = b' H^-1 b: the predicted decrease of chi2
+  std::int64_t Nonzeros() const;      // scalars of the lower triangle of L
+  std::uint64_t BytesInFile() const;  // of L (DropUpdateMatrices)
 
   // Stays as it is until another one is assigned to this one.
   std::uint64_t Identity() const { return identity_.Value(); }

@@ -39,6 +39,7 @@ class BlockSystem {
     Vector<B> b_first, b_second;
   };
   static Normal NormalOf(const LinearFactor<B>& factor);
+  static void SetNormal(const LinearFactor<B>& factor, Normal& normal);  // the same
   // A slot that changed, and what it held before: first is -1 if nothing.
   struct SlotChange {
     int slot;
@@ -50,7 +51,11 @@ class BlockSystem {
   int Slots() const { return static_cast<int>(factors_.size()); }
   // The variable `first` is -1 in a free slot.
   const LinearFactor<B>& LinearFactorAt(int slot) const { return factors_[static_cast<std::size_t>(slot)]; }
+  // Not after DropNormals.
   const Normal& NormalAt(int slot) const { return normals_[static_cast<std::size_t>(slot)]; }
+  // For those who take each once: half of the memory of a slot.
+  void DropNormals();
+  bool HasNormals() const { return has_normals_; }
   // Slots of the living factors on a variable, ascending.
   const std::vector<int>& SlotsOf(int variable) const { return slots_of_[static_cast<std::size_t>(variable)]; }
   const Vector<B>& DiagonalOf(int variable) const { return diagonal_[static_cast<std::size_t>(variable)]; }
@@ -109,6 +114,7 @@ class BlockSystem {
 
   std::vector<LinearFactor<B>> factors_;  // by slot
   std::vector<Normal> normals_;           // by slot
+  bool has_normals_ = true;
   std::vector<int> free_slots_;
   std::vector<std::vector<int>> slots_of_;            // by variable
   std::vector<Vector<B>> diagonal_;                   // of H, by variable

@@ -49,7 +49,7 @@ class BufferPool {
     if (it == free_.end() || it->second.size() == kKept) return std::vector<double>().swap(buffer);
     it->second.push_back({std::move(buffer), ++given_});
     scalars_ += size;
-    largest_ = std::max(largest_, size);
+    if (size > largest_) largest_ = size;
     while (scalars_ > std::max(kAlways, kTimesLargest * largest_)) FreeOldest();
   }
   // So that Give never allocates.

@@ -8,6 +8,7 @@
 // whichever leaves the lower chi2; what was composed stays if that does. kChordal prefers priors to the first pose's
 // value, see there.
 
+#include <cstdint>
 #include <functional>
 #include <vector>
 
@@ -39,6 +40,7 @@ struct StartOptions {
   LogSink log;                                        // log.h
   std::function<void(double share)> factor_progress;  // as in BatchOptions
   std::vector<int> order;                             // as in BatchOptions
+  std::uint64_t most_factor_bytes = 0;                // as in BatchOptions
 };
 
 // Pose values in the order of graph.Poses(). O(V + E) and, for kChordal, sparse factorisations (kAuto: more). Throws

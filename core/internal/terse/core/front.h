@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "terse/core/at.h"
+#include "terse/core/panel.h"
 
 namespace terse::internal {
 
@@ -21,8 +22,8 @@ struct Front {
   int parent = -1;
   std::vector<int> pivots, separators;  // variables in elimination order
   std::vector<int> children;
-  std::vector<int> slots;     // linear factors assembled here
-  std::vector<double> panel;  // (p + s + 1) x p, column-major, p = B |P|, s = B |S|; may be longer
+  std::vector<int> slots;  // linear factors assembled here
+  Panel panel;             // (p + s + 1) x p, column-major, p = B |P|, s = B |S|; may be longer
   // (u + 1) x (u + 1), column-major, lower triangle, u = B update_separators: the first of S; may be longer.
   std::vector<double> update;
   int update_separators = 0;
@@ -36,11 +37,11 @@ struct Front {
   // The panel is [L_PP; L_SP; y_P'], with as many rows as its leading dimension.
   int Rows() const { return B * static_cast<int>(pivots.size() + separators.size()) + 1; }
   int Columns() const { return B * static_cast<int>(pivots.size()); }
-  double* Entry(int row, int column) { return panel.data() + At(column) * At(Rows()) + At(row); }
-  const double* Entry(int row, int column) const { return panel.data() + At(column) * At(Rows()) + At(row); }
+  double* Entry(int row, int column) { return panel.Buffer() + At(column) * At(Rows()) + At(row); }
+  const double* Entry(int row, int column) const { return panel.Numbers() + At(column) * At(Rows()) + At(row); }
   // y_P.
   void CopyRightHandSide(double* to) const {
-    const double* last = panel.data() + Rows() - 1;
+    const double* last = panel.Numbers() + Rows() - 1;
     for (int column = 0; column < Columns(); ++column) to[column] = last[At(column) * At(Rows())];
   }
   // The update matrix's leading dimension.

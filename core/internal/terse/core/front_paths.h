@@ -171,7 +171,7 @@ template <int B>
 void BackSubstituteFront(const Front<B>& front, const double* solution, double* x) {
   double* separators = x + front.Columns();
   for (const int v : front.separators) separators = std::copy_n(solution + At(v) * B, B, separators);
-  Kernels().back_substitute(front.panel.data(), front.Rows(), front.Columns(), x);
+  Kernels().back_substitute(front.panel.Numbers(), front.Rows(), front.Columns(), x);
 }
 
 // L' d = y on these fronts alone: their share of the full Gauss-Newton step (Arablouei 2026 Eq. 15, which holds for

@@ -23,6 +23,8 @@ inline constexpr std::uint64_t kMostDecodedBytes = std::uint64_t{1} << 27;
 
 // What a process may use: the machine's memory, or less by the limits of its control group and RLIMIT_AS. Bytes.
 std::uint64_t UsableMemory();
+// What of it is not in use now, but for the system's copies of files.
+std::uint64_t FreeMemory();
 // `limit`, or a share of the usable memory if that is less.
 std::uint64_t MostFileBytes(std::uint64_t limit, std::uint64_t share_of_memory);
 
