@@ -20,11 +20,13 @@
 #include "terse/core/front_paths.h"
 #include "terse/core/limits.h"
 #include "testing_factor.h"
+#include "testing_files.h"
 #include "testing_scene.h"
 
 namespace terse {
 namespace {
 
+using testing::DiskFolder;
 using testing::Random;
 using testing::RandomFactor;
 
@@ -42,9 +44,6 @@ class TemporaryFolder {
  private:
   std::optional<std::string> before_;
 };
-
-// That of this program: /tmp and /var/tmp may be in memory.
-std::string DiskFolder() { return std::filesystem::read_symlink("/proc/self/exe").parent_path().string(); }
 
 class FactorInFile : public ::testing::Test {
   TemporaryFolder on_disk_{DiskFolder()};

@@ -5,11 +5,17 @@
 #include <unistd.h>
 
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <sstream>
 #include <string>
 
 namespace terse {
+
+namespace testing {
+// That of the program at hand, for large temporary files: /tmp and /var/tmp may be in memory.
+inline std::string DiskFolder() { return std::filesystem::read_symlink("/proc/self/exe").parent_path().string(); }
+}  // namespace testing
 
 class TestFile {
  public:

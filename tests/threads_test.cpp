@@ -6,6 +6,7 @@
 #include "terse/core/batch_solver.h"
 #include "terse/core/incremental_solver.h"
 #include "terse/core/initial_values.h"
+#include "testing_files.h"
 #include "testing_scene.h"
 
 namespace terse {
@@ -13,6 +14,8 @@ namespace {
 
 // Four threads even where there are fewer processors.
 const tbb::global_control kAllowed(tbb::global_control::max_allowed_parallelism, 4);
+
+const int kOnDisk = setenv("TMPDIR", testing::DiskFolder().c_str(), 1);
 
 // Large enough that the tree is spread over threads, with fronts large enough to be shared.
 template <class Pose>
@@ -48,9 +51,11 @@ void ExpectSameBatch(const PoseGraph<Pose>& graph) {
   BatchOptions options;
   options.max_iterations = 5;
   const auto one = SolveBatch(graph, initial, options);
-  for (const int threads : {2, 4}) {
-    SCOPED_TRACE(std::to_string(threads) + " threads");
+  for (const auto& [threads, most_factor_bytes] : {std::pair(2, 0), std::pair(4, 0), std::pair(4, 1)}) {
+    SCOPED_TRACE(std::to_string(threads) + " threads, a factor of at most (0: any) " +
+                 std::to_string(most_factor_bytes) + " bytes in memory");
     options.threads = threads;
+    options.most_factor_bytes = static_cast<std::uint64_t>(most_factor_bytes);
     const auto many = SolveBatch(graph, initial, options);
     EXPECT_EQ(many.termination, one.termination);
     EXPECT_EQ(many.iterations, one.iterations);

@@ -5,7 +5,6 @@
 #include <unistd.h>
 
 #include <cerrno>
-#include <cstdint>
 #include <cstdlib>
 #include <string>
 
@@ -89,11 +88,11 @@ void PanelFile::Write(std::size_t at, const double* numbers, std::size_t count) 
   }
 }
 
+// Of the pages that hold nothing else.
 void PanelFile::Release(std::size_t at, std::size_t count) const noexcept {
-  static const auto page = static_cast<std::uintptr_t>(::sysconf(_SC_PAGESIZE));
-  const auto begin = (reinterpret_cast<std::uintptr_t>(numbers_ + at) + page - 1) / page * page;
-  const auto end = reinterpret_cast<std::uintptr_t>(numbers_ + at + count) / page * page;
-  if (begin < end) ::madvise(reinterpret_cast<void*>(begin), end - begin, MADV_DONTNEED);
+  static const auto page = static_cast<std::size_t>(::sysconf(_SC_PAGESIZE)) / sizeof(double);
+  const std::size_t begin = (at + page - 1) / page * page, end = (at + count) / page * page;
+  if (begin < end) ::madvise(const_cast<double*>(numbers_ + begin), (end - begin) * sizeof(double), MADV_DONTNEED);
 }
 
 }  // namespace terse::internal
