@@ -184,13 +184,18 @@ TEST_F(FactorInFile, NoRoomIsAnErrorThatSaysWhere) {
   EXPECT_EQ(factor.Variables(), 0);
 }
 
+BlockCholesky<6> StoredFactor(int threads) {
+  BlockCholesky<6> factor;
+  factor.DropUpdateMatrices(1);
+  factor.SetThreads(threads);
+  EXPECT_TRUE(factor.Update(ChainWithLoops<6>(800, 3)).ok);
+  return factor;
+}
+
 // From whichever thread: the next factorisation that succeeds is right again.
 TEST_F(FactorInFile, AWriteThatFailsIsAnError) {
   for (const int threads : {1, 3}) {
-    BlockCholesky<6> factor;
-    factor.DropUpdateMatrices(1);
-    factor.SetThreads(threads);
-    ASSERT_TRUE(factor.Update(ChainWithLoops<6>(800, 3)).ok);
+    BlockCholesky<6> factor = StoredFactor(threads);
     const std::vector<double> before = InverseTimesOnes(factor);
     {
       const FileLimit limit(4096);
@@ -204,10 +209,7 @@ TEST_F(FactorInFile, AWriteThatFailsIsAnError) {
 // Not positive definite at a leaf: the fronts above it take no memory.
 TEST_F(FactorInFile, ARefactorThatFailsAllocatesNoMore) {
   for (const int threads : {1, 3}) {
-    BlockCholesky<6> factor;
-    factor.DropUpdateMatrices(1);
-    factor.SetThreads(threads);
-    ASSERT_TRUE(factor.Update(ChainWithLoops<6>(800, 3)).ok);
+    BlockCholesky<6> factor = StoredFactor(threads);
     const auto places = [&] {
       std::map<int, const double*> out;
       factor.Tree().ForEach([&](int id, const internal::Front<6>& front) { out[id] = front.panel.Numbers(); });
@@ -257,6 +259,21 @@ TEST_F(FactorInFile, AFolderInMemoryIsRefused) {
   factor.DropUpdateMatrices(1);
   EXPECT_NE(ErrorOf([&] { (void)factor.Update(ChainWithLoops<3>(200, 4)); }).cause().find("is in memory itself"),
             std::string::npos);
+}
+
+// 100 MiB, with nothing asked for.
+TEST_F(FactorInFile, ByDefaultWhereMoreThanHalfOfTheFreeMemoryWouldGo) {
+  constexpr std::size_t kNumbers = std::size_t{100} << 17;
+  const auto free_250 = [] { return std::uint64_t{250} << 20; };
+  const auto free_150 = [] { return std::uint64_t{150} << 20; };
+  const auto free_50 = [] { return std::uint64_t{50} << 20; };
+  EXPECT_EQ(internal::OpenPanelFile(kNumbers, 0, free_250), nullptr);
+  EXPECT_NE(internal::OpenPanelFile(kNumbers, 0, free_150), nullptr);
+  EXPECT_EQ(internal::OpenPanelFile(kNumbers / 2, 0, free_50), nullptr) << "so little stays in memory";
+  const TemporaryFolder missing("/no/such/folder");
+  EXPECT_EQ(internal::OpenPanelFile(kNumbers, 0, free_150), nullptr) << "memory has room";
+  EXPECT_THROW(internal::OpenPanelFile(kNumbers, 0, free_50), FileError);
+  EXPECT_THROW(internal::OpenPanelFile(kNumbers, 1, free_250), FileError) << "it was asked for";
 }
 
 TEST_F(FactorInFile, BatchIsTheSame) {

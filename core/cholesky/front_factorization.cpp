@@ -3,13 +3,10 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <limits>
 #include <mutex>
 #include <utility>
 
 #include "terse/core/dense_kernels.h"
-#include "terse/core/error.h"
-#include "terse/core/limits.h"
 #include "terse/core/parallel.h"
 #include "terse/core/state_file.h"
 
@@ -19,8 +16,7 @@ namespace {
 using std::size_t;
 
 constexpr double kSingular = 4e-15;
-constexpr size_t kAlwaysInMemory = size_t{64} << 20;  // bytes of panels: so few are not worth asking for
-constexpr double kParallelFlops = 2e7;                // from which it pays to wake other threads
+constexpr double kParallelFlops = 2e7;  // from which it pays to wake other threads
 
 // Sum of the squared column counts.
 double FactorFlops(double rows, double pivots) {
@@ -273,27 +269,12 @@ int FrontFactorization<B>::FactorFront(Front<B>& front, const Sources& from, Scr
   return SumPivots(front, 0, from.system);
 }
 
-// Null where they stay in memory: there they go, too, by default, if there is no room on the disk but in memory.
-template <int B>
-std::shared_ptr<PanelFile> FrontFactorization<B>::OpenFileFor(size_t numbers) const {
-  const size_t bytes = numbers * sizeof(double);
-  if (most_bytes_ > 0) return bytes > most_bytes_ ? std::make_shared<PanelFile>(numbers) : nullptr;
-  const std::uint64_t free = bytes > kAlwaysInMemory ? FreeMemory() : std::numeric_limits<std::uint64_t>::max();
-  if (bytes <= free / 2) return nullptr;
-  try {
-    return std::make_shared<PanelFile>(numbers);
-  } catch (const FileError&) {
-    if (bytes > free) throw;
-    return nullptr;
-  }
-}
-
 template <int B>
 void FrontFactorization<B>::PlacePanels(const std::vector<Front<B>*>& fronts, const std::vector<int>& order) const {
   const auto size_of = [](const Front<B>& front) { return At(front.Rows()) * At(front.Columns()); };
   size_t needed = 0;
   for (const Front<B>* front : fronts) needed += front->panel.Size() < size_of(*front) ? size_of(*front) : 0;
-  const std::shared_ptr<PanelFile> file = OpenFileFor(needed);
+  const std::shared_ptr<PanelFile> file = OpenPanelFile(needed, most_bytes_);
   if (!file) return;
   size_t at = 0;
   for (const int k : order) {

@@ -4,7 +4,6 @@
 
 #include <cstdint>
 #include <functional>
-#include <memory>
 #include <string>
 #include <unordered_map>
 #include <utility>
@@ -93,7 +92,6 @@ class FrontFactorization {
   // May run for several fronts at once, if parallel also with threads of its own inside one. scratch: of the calling
   // thread, which takes no other front while it waits for those (ForEachChunk).
   static int FactorFront(Front<B>& front, const Sources& from, Scratch& scratch, bool parallel);
-  std::shared_ptr<PanelFile> OpenFileFor(std::size_t numbers) const;
   // In a file for panels that have no room yet, in this order, or nowhere if memory has room for all.
   void PlacePanels(const std::vector<Front<B>*>& fronts, const std::vector<int>& order) const;
   enum class Part { kPanel, kUpdate };

@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstdint>
 #include <cstdlib>
 #include <string>
 
@@ -14,6 +15,8 @@
 
 namespace terse::internal {
 namespace {
+
+constexpr std::uint64_t kAlwaysInMemory = std::uint64_t{64} << 20;  // bytes that are not worth asking for
 
 // /tmp is in memory on many machines.
 std::string FolderOfLargeFiles() {
@@ -93,6 +96,21 @@ void PanelFile::Release(std::size_t at, std::size_t count) const noexcept {
   static const auto page = static_cast<std::size_t>(::sysconf(_SC_PAGESIZE)) / sizeof(double);
   const std::size_t begin = (at + page - 1) / page * page, end = (at + count) / page * page;
   if (begin < end) ::madvise(const_cast<double*>(numbers_ + begin), (end - begin) * sizeof(double), MADV_DONTNEED);
+}
+
+std::shared_ptr<PanelFile> OpenPanelFile(std::size_t numbers, std::uint64_t most_bytes,
+                                         std::uint64_t (*free_memory)()) {
+  const std::uint64_t bytes = numbers * sizeof(double);
+  if (most_bytes > 0) return bytes > most_bytes ? std::make_shared<PanelFile>(numbers) : nullptr;
+  if (bytes <= kAlwaysInMemory) return nullptr;
+  const std::uint64_t free = free_memory();
+  if (bytes <= free / 2) return nullptr;
+  try {
+    return std::make_shared<PanelFile>(numbers);
+  } catch (const FileError&) {
+    if (bytes > free) throw;
+    return nullptr;
+  }
 }
 
 }  // namespace terse::internal

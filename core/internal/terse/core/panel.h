@@ -3,9 +3,12 @@
 
 #include <cassert>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <utility>
 #include <vector>
+
+#include "terse/core/limits.h"
 
 namespace terse::internal {
 
@@ -29,6 +32,12 @@ class PanelFile {
   std::size_t bytes_ = 0;
   const double* numbers_ = nullptr;
 };
+
+// A file for panels of so many numbers if they take more than most_bytes, else none. By default (0) if they take more
+// than 64 MiB and than half of the free memory; and none where the disk has no room for it but the memory. Throws
+// FileError.
+std::shared_ptr<PanelFile> OpenPanelFile(std::size_t numbers, std::uint64_t most_bytes,
+                                         std::uint64_t (*free_memory)() = FreeMemory);
 
 // A copy is in memory.
 class Panel {
