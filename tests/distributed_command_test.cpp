@@ -163,7 +163,7 @@ TEST_F(DistributedCommand, WritesGraphAndCovariances) {
 }
 
 TEST_F(DistributedCommand, WhatOneRankFindsWrongAllSay) {
-  ExpectMpiFailure(2, "absent.g2o", 1, "rank 0: absent.g2o: cannot open: No such file or directory");
+  ExpectMpiFailure(2, "absent.g2o", 1, "rank 0: absent.g2o: the file does not exist");
   ExpectMpiFailure(2, "", 2, "FILE is required");
   Succeed("generate manhattan --poses 100 --seed 5 --output good.g2o --quiet");
   const std::string good = Read("good.g2o");

@@ -3,6 +3,7 @@
 #include "terse/core/graph_file.h"
 
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 
 #include <clocale>
 #include <cmath>
@@ -10,6 +11,7 @@
 #include <fstream>
 #include <locale>
 #include <random>
+#include <thread>
 
 #include "shared_data.h"
 #include "testing_files.h"
@@ -284,6 +286,26 @@ TEST(GraphFileTest, GraphsInPiecesForThoseWhoWantThePoses) {
   options.expect_connected = false;
   const GraphFile file = ReadText("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", options);
   EXPECT_EQ(std::get<PoseGraph<SE2>>(file.graph).Poses().size(), 2u);
+}
+
+// Which can be read once only, and here needs to be looked at three times.
+TEST(GraphFileTest, APipeIsReadAsAFileIs) {
+  const std::string text =
+      "FIX 7\nEDGE_SE3_PRIOR 7 2 0 0 0 0 0 0 1" + Entries(6) + "\nEDGE_SE3:QUAT 9 7 1 0 0 0 0 0 1" + Entries(6) +
+      "\nEDGE_SE3:QUAT 7 8 1 0 0 0 0 0 1" + Entries(6) +
+      "\nVERTEX_SE3:QUAT 8 1 2 3 0 0 0 1\nPARAMS_SE3OFFSET 2 1 0 0 0 0 0 1\nVERTEX_SE3:QUAT 7 0 0 0 0 0 0 1\n";
+  const auto wanted = ReadAs<SE3>(text);
+  std::vector<std::int64_t> ids;
+  for (const auto& node : wanted.Poses()) ids.push_back(node.id.value);
+  EXPECT_EQ(ids, (std::vector<std::int64_t>{8, 7, 9})) << "vertices, then what edges name";
+  const TestFile pipe("pipe"), from_file("file.g2o"), from_pipe("pipe.g2o");
+  ASSERT_EQ(mkfifo(pipe.Path().c_str(), 0600), 0);
+  std::thread writer([&] { std::ofstream(pipe.Path()) << text; });
+  const auto read = ReadPoseGraph<SE3>(pipe.Path());
+  writer.join();
+  WriteG2o(wanted, from_file.Path());
+  WriteG2o(read, from_pipe.Path());
+  EXPECT_EQ(from_pipe.Content(), from_file.Content());
 }
 
 TEST(GraphFileTest, QuaternionsAreNormalisedOnceOnly) {

@@ -1,9 +1,12 @@
 // What readers take at most, and that they take no more than a file holds.
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <cstdio>
+#include <fstream>
 #include <string>
 #include <thread>
 
@@ -90,6 +93,28 @@ TEST(LimitsTest, FileLargerThanAnyMemoryIsRefusedUnread) {
   ExpectRefused([&] { ReadGraph(file.Path()); }, file.Path(), 0, "too large or has no end");
   ExpectRefused([&] { ReadTrajectory(file.Path()); }, file.Path(), 0, "too large or has no end");
   ExpectRefused([&] { StateReader(file.Path(), "any"); }, file.Path(), 0, "too large or has no end");
+}
+
+// A graph file is read in pieces, not whole: what it says takes memory, its text does not.
+TEST(LimitsTest, TextBesideAGraphTakesNoMemory) {
+  const std::string path = testing::DiskFolder() + "/limits_test_comments.g2o";
+  {
+    std::ofstream file(path);
+    file << Chain(3);
+    const std::string line = "# " + std::string(1021, 'x') + '\n';
+    for (int k = 0; k < 200 << 10; ++k) file << line;
+  }
+  const auto peak_mebibytes = [] {
+    rusage usage{};
+    getrusage(RUSAGE_SELF, &usage);
+    return usage.ru_maxrss / 1024;
+  };
+  const long before = peak_mebibytes();
+  const std::size_t poses = ReadPoseGraph<SE2>(path).Poses().size();
+  const long growth = peak_mebibytes() - before;
+  std::remove(path.c_str());
+  EXPECT_EQ(poses, 3u);
+  EXPECT_LT(growth, 40) << "MiB, of a file of 200";
 }
 
 TEST(LimitsTest, EndlessInputsAreRefusedAtTheirStart) {

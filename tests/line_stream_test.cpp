@@ -3,9 +3,12 @@
 #include "terse/core/line_stream.h"
 
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 
+#include <fstream>
 #include <random>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -18,12 +21,16 @@ namespace {
 
 using Line = std::pair<long, std::string>;
 
-std::vector<Line> Streamed(const std::string& content) {
-  const TestFile file("lines.txt", content);
-  LineStream stream(file.Path());
+std::vector<Line> Rest(LineStream& stream) {
   std::vector<Line> lines;
   for (TextLine line; stream.Next(line);) lines.emplace_back(line.number, line.text);
   return lines;
+}
+
+std::vector<Line> Streamed(const std::string& content) {
+  const TestFile file("lines.txt", content);
+  LineStream stream(file.Path());
+  return Rest(stream);
 }
 
 std::vector<Line> Whole(const std::string& content) {
@@ -54,6 +61,58 @@ TEST(LineStream, GivesTheLinesOfTheWholeFile) {
   EXPECT_EQ(Streamed(content), Whole(content));
   content.pop_back();
   EXPECT_EQ(Streamed(content), Whole(content));
+}
+
+std::string ManyLines() {
+  std::string content;
+  for (int k = 0; k < 50000; ++k) content += "line " + std::to_string(k) + (k % 7 == 0 ? "\n\n" : "\n");
+  return content;  // of more than one piece
+}
+
+TEST(LineStream, BeginsAgain) {
+  const std::string content = ManyLines();
+  const std::vector<Line> wanted = Whole(content);
+  const TestFile file("lines.txt", content);
+  LineStream stream(file.Path());
+  EXPECT_EQ(stream.LineNumber(), 0);
+  for (const std::size_t count : {std::size_t{0}, std::size_t{3}, wanted.size() / 2, wanted.size()}) {
+    TextLine line;
+    for (std::size_t k = 0; k < count; ++k) ASSERT_TRUE(stream.Next(line));
+    EXPECT_EQ(stream.LineNumber(), count == 0 ? 0 : wanted[count - 1].first);
+    stream.Rewind();
+  }
+  EXPECT_EQ(Rest(stream), wanted);
+}
+
+TEST(LineStream, KeepsWhatAPipeGives) {
+  const std::string content = ManyLines();
+  const TestFile pipe("pipe");
+  ASSERT_EQ(mkfifo(pipe.Path().c_str(), 0600), 0);
+  std::thread writer([&] { std::ofstream(pipe.Path()) << content; });
+  LineStream stream(pipe.Path());
+  TextLine line;
+  for (int k = 0; k < 20000; ++k) ASSERT_TRUE(stream.Next(line));
+  stream.Rewind();  // before the end has come
+  const std::vector<Line> first = Rest(stream);
+  writer.join();
+  EXPECT_EQ(first, Whole(content));
+  stream.Rewind();
+  EXPECT_EQ(Rest(stream), first);
+}
+
+// Half of the old and half of the new content would be neither.
+TEST(LineStream, RefusesAFileThatChangesMeanwhile) {
+  const TestFile file("lines.txt", ManyLines());
+  LineStream stream(file.Path());
+  TextLine line;
+  ASSERT_TRUE(stream.Next(line));
+  std::ofstream(file.Path(), std::ios::app) << "one more\n";
+  try {
+    Rest(stream);
+    FAIL() << "read as if nothing had happened";
+  } catch (const FileError& error) {
+    EXPECT_NE(std::string(error.what()).find("was changed while it was read"), std::string::npos) << error.what();
+  }
 }
 
 TEST(LineStream, RefusesWhatIsNoText) {

@@ -22,7 +22,7 @@ template <class Pose>
 class ShareReader {
  public:
   ShareReader(const std::string& path, int rank, int ranks, const ReadOptions& options)
-      : path_(path), fields_(path_), reader_(path, options), rank_(rank), ranks_(ranks) {}
+      : path_(path), lines_(path), fields_(path_), reader_(path, options), rank_(rank), ranks_(ranks) {}
 
   GraphShare<Pose> Read() && {
     ReadPoses();
@@ -41,10 +41,7 @@ class ShareReader {
     const std::string_view tag = fields_.Text(0);
     const TagLayout* layout = FindLayout(tag);
     if (layout == nullptr) {
-      const char c = tag.front();
-      if (!((c >= 'A' && c <= 'Z') || (c >= 'a' && c <= 'z') || c == '_')) {
-        throw fields_.Error("expected a tag, the line starts with " + Quoted(tag));
-      }
+      if (!IsTag(tag)) throw fields_.Error("expected a tag, the line starts with " + Quoted(tag));
       return nullptr;
     }
     if (layout->family != TagFamily::kG2o) {
@@ -58,8 +55,7 @@ class ShareReader {
   }
 
   void ReadPoses() {
-    LineStream lines(path_);
-    for (TextLine line; lines.Next(line);) {
+    for (TextLine line; lines_.Next(line);) {
       const TagLayout* layout = Split(line);
       if (layout == nullptr) {
         ++share_.skipped_tags[std::string(fields_.Text(0))];
@@ -112,9 +108,9 @@ class ShareReader {
   }
 
   void ReadMeasurements() {
-    LineStream lines(path_);
+    lines_.Rewind();
     std::vector<char> is_fixed(share_.ids.size(), 0);
-    for (TextLine line; lines.Next(line);) {
+    for (TextLine line; lines_.Next(line);) {
       const TagLayout* layout = Split(line);
       if (layout == nullptr || layout->kind == TagKind::kVertex || layout->kind == TagKind::kOffset) continue;
       if (layout->kind == TagKind::kFix) {
@@ -146,6 +142,7 @@ class ShareReader {
   }
 
   std::string path_;
+  LineStream lines_;
   Fields fields_;
   MeasurementLineReader<Pose> reader_;
   int rank_, ranks_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <optional>
 
 #include "files/packed_graph.h"
 #include "files/read_graph.h"
@@ -32,21 +33,29 @@ constexpr TagLayout kLayouts[] = {
     {"PARAMS_SE3OFFSET", TagFamily::kG2o, 0, TagKind::kOffset, 8},  // id, pose
 };
 
-bool IsTag(std::string_view text) {
-  const char c = text.front();
-  return (c >= 'A' && c <= 'Z') || (c >= 'a' && c <= 'z') || c == '_';
+// The text is read in pieces, but what it says takes memory: more than a quarter of its size.
+void ExpectRoom(const InputFile& file) {
+  const std::uint64_t usable = UsableMemory(), most = usable > UINT64_MAX / 4 ? UINT64_MAX : 4 * usable;
+  if (file.IsStored() && file.Bytes() > most) throw TooLarge(file.Path(), most);
 }
 
+// A known tag, and where in the file it comes first.
+struct TagUse {
+  const TagLayout* layout;
+  long line, count;
+};
+
+// What a first look at the file says.
 struct Classified {
-  std::vector<GraphLine> known;
+  std::vector<TagUse> tags;  // in the order of the file
   std::map<std::string, long> skipped_tags;
   std::unordered_set<std::int64_t> other_vertices;  // ids of vertices with tags that are not known
 };
 
 // The id of a vertex with a tag that is not known, for all that can be seen.
-void AddOtherVertex(const TextFile& file, const TextLine& line, std::unordered_set<std::int64_t>* ids) {
+void AddOtherVertex(const std::string& path, const TextLine& line, std::unordered_set<std::int64_t>* ids) {
   if (line.text.rfind("VERTEX", 0) != 0) return;
-  Fields fields(file.Path());
+  Fields fields(path);
   fields.Split(line);
   std::int64_t id = 0;
   if (fields.Count() < 2) return;
@@ -55,96 +64,103 @@ void AddOtherVertex(const TextFile& file, const TextLine& line, std::unordered_s
   if (error == std::errc() && end == text.data() + text.size()) ids->insert(id);
 }
 
-FileError NotAGraph(const TextFile& file, const std::vector<TextLine>& lines) {
-  std::string cause = "expected a g2o, TORO or iSAM graph; ";
-  if (lines.empty()) return FileError(file.Path(), 0, cause + "the file holds comments and blank lines only");
-  Fields fields(file.Path());
-  fields.Split(lines.front());
-  cause += "the first line reads " + Quoted(lines.front().text);
+FileError NotAGraph(const std::string& path, const TextLine& first_line) {
+  Fields fields(path);
+  fields.Split(first_line);
+  std::string cause = "expected a g2o, TORO or iSAM graph; the first line reads " + Quoted(first_line.text);
   const bool is_row_of_numbers = (fields.Count() == 8 || fields.Count() == 12) && IsNumber(fields.Text(0));
   if (is_row_of_numbers) cause += ", which looks like a trajectory (" + std::to_string(fields.Count()) + " numbers)";
   return fields.Error(cause);
 }
 
-Classified Classify(const TextFile& file) {
-  const std::vector<TextLine> lines = file.Lines();
+FileError NoLines(const LineStream& at_end) {
+  const std::string& path = at_end.File().Path();
+  if (at_end.LineNumber() == 0) return FileError(path, 0, "the file is empty, expected lines of text");
+  return FileError(path, 0, "expected a g2o, TORO or iSAM graph; the file holds comments and blank lines only");
+}
+
+void CountTag(const GraphLine& line, std::vector<TagUse>* tags) {
+  const auto is_of_line = [&](const TagUse& use) { return use.layout == line.layout; };
+  const auto use = std::find_if(tags->begin(), tags->end(), is_of_line);
+  if (use == tags->end()) {
+    tags->push_back({line.layout, line.line.number, 1});
+  } else {
+    ++use->count;
+  }
+}
+
+bool IsOffset(const TagUse& use) { return use.layout->kind == TagKind::kOffset; }
+
+Classified Classify(GraphLines& lines) {
   Classified out;
-  out.known.reserve(lines.size());
-  const TextLine* odd_line = nullptr;
-  bool is_graph = false;
-  const TagLayout* layout = nullptr;
-  for (const TextLine& line : lines) {
-    const std::string_view tag = FirstField(line.text);
-    if (layout == nullptr || layout->tag != tag) layout = FindLayout(tag);
-    if (layout != nullptr) {
-      out.known.push_back({line, layout});
-      is_graph = is_graph || layout->kind != TagKind::kOffset;
+  // Not thrown before the end: a binary file is to be called that.
+  std::optional<FileError> not_a_graph, odd_tag;
+  lines.ForEach([&](const GraphLine& line) {
+    if (!not_a_graph) not_a_graph = NotAGraph(lines.Path(), line.line);
+    if (line.layout != nullptr) return CountTag(line, &out.tags);
+    const std::string_view tag = FirstField(line.line.text);
+    if (!IsTag(tag) && !odd_tag) {
+      odd_tag = FileError(lines.Path(), line.line.number, "expected a tag, the line starts with " + Quoted(tag));
     }
-    if (layout == nullptr && !IsTag(tag) && odd_line == nullptr) odd_line = &line;
-    if (layout != nullptr) continue;
     ++out.skipped_tags[std::string(tag)];
-    AddOtherVertex(file, line, &out.other_vertices);
-  }
-  if (!is_graph) throw NotAGraph(file, lines);
-  if (odd_line != nullptr) {
-    throw FileError(file.Path(), odd_line->number,
-                    "expected a tag, the line starts with " + Quoted(FirstField(odd_line->text)));
-  }
+    AddOtherVertex(lines.Path(), line.line, &out.other_vertices);
+  });
+  if (!not_a_graph) throw NoLines(lines.Stream());
+  if (std::all_of(out.tags.begin(), out.tags.end(), IsOffset)) throw *not_a_graph;
+  if (odd_tag) throw *odd_tag;
   return out;
 }
 
-std::string Describe(const GraphLine& line) {
-  return std::string(line.layout->tag) + " (line " + std::to_string(line.line.number) + ")";
+std::string Describe(const TagUse& use) {
+  return std::string(use.layout->tag) + " (line " + std::to_string(use.line) + ")";
 }
 
 // 2 or 3. Throws if both occur. FIX alone counts as 2D, and fails later for want of poses.
-int Dimension(const std::string& path, const std::vector<GraphLine>& lines) {
-  const GraphLine* first = nullptr;
-  for (const GraphLine& line : lines) {
-    if (line.layout->dimension == 0) continue;
-    if (first == nullptr) first = &line;
-    if (line.layout->dimension == first->layout->dimension) continue;
-    throw FileError(path, line.line.number,
-                    "the file mixes 2D and 3D: " + std::string(line.layout->tag) + " after " + Describe(*first) +
+int Dimension(const std::string& path, const std::vector<TagUse>& tags) {
+  const TagUse* first = nullptr;
+  for (const TagUse& use : tags) {
+    if (use.layout->dimension == 0) continue;
+    if (first == nullptr) first = &use;
+    if (use.layout->dimension == first->layout->dimension) continue;
+    throw FileError(path, use.line,
+                    "the file mixes 2D and 3D: " + std::string(use.layout->tag) + " after " + Describe(*first) +
                         ", expected one kind in a file");
   }
   return first == nullptr ? 2 : first->layout->dimension;
 }
 
 // The family of all lines; kToroOrIsam if there are EDGE2 or EDGE3 lines only. Throws if families are mixed.
-TagFamily Family(const std::string& path, const std::vector<GraphLine>& lines) {
-  const GraphLine* first = nullptr;
-  for (const GraphLine& line : lines) {
-    if (line.layout->kind == TagKind::kOffset) continue;
-    if (first == nullptr) first = &line;
-    const TagFamily a = first->layout->family, b = line.layout->family;
+TagFamily Family(const std::string& path, const std::vector<TagUse>& tags) {
+  const TagUse* first = nullptr;
+  for (const TagUse& use : tags) {
+    if (IsOffset(use)) continue;
+    if (first == nullptr) first = &use;
+    const TagFamily a = first->layout->family, b = use.layout->family;
     if (a == b) continue;
     if (a == TagFamily::kG2o || b == TagFamily::kG2o || (a != TagFamily::kToroOrIsam && b != TagFamily::kToroOrIsam)) {
-      throw FileError(path, line.line.number,
-                      "the file mixes formats: " + std::string(line.layout->tag) + " after " + Describe(*first) +
+      throw FileError(path, use.line,
+                      "the file mixes formats: " + std::string(use.layout->tag) + " after " + Describe(*first) +
                           ", expected one kind in a file");
     }
-    if (a == TagFamily::kToroOrIsam) first = &line;
+    if (a == TagFamily::kToroOrIsam) first = &use;
   }
   return first->layout->family;
 }
 
 template <class Pose>
-GraphFile Read(const std::string& path, const Classified& classified, const ReadOptions& options) {
-  const std::vector<GraphLine>& lines = classified.known;
-  const TagFamily family = Family(path, lines);
-  if (family == TagFamily::kG2o) return ReadG2o<Pose>(path, lines, classified.other_vertices, options);
-  std::vector<GraphLine> edges_and_vertices = lines;  // without g2o's parameters
-  edges_and_vertices.erase(std::remove_if(edges_and_vertices.begin(), edges_and_vertices.end(),
-                                          [](const GraphLine& line) { return line.layout->kind == TagKind::kOffset; }),
-                           edges_and_vertices.end());
-  const bool is_isam =
-      family == TagFamily::kIsam || (family == TagFamily::kToroOrIsam && LooksLikeIsam<Pose>(path, edges_and_vertices));
-  return is_isam ? ReadIsam<Pose>(path, edges_and_vertices, options)
-                 : ReadToro<Pose>(path, edges_and_vertices, options);
+GraphFile Read(GraphLines& lines, const Classified& classified, const ReadOptions& options) {
+  const TagFamily family = Family(lines.Path(), classified.tags);
+  if (family == TagFamily::kG2o) return ReadG2o<Pose>(lines, classified.other_vertices, options);
+  const bool is_isam = family == TagFamily::kIsam || (family == TagFamily::kToroOrIsam && LooksLikeIsam<Pose>(lines));
+  return is_isam ? ReadIsam<Pose>(lines, options) : ReadToro<Pose>(lines, options);
 }
 
 }  // namespace
+
+bool IsTag(std::string_view text) {
+  const char c = text.front();
+  return (c >= 'A' && c <= 'Z') || (c >= 'a' && c <= 'z') || c == '_';
+}
 
 const TagLayout* FindLayout(std::string_view tag) {
   const auto* end = std::end(kLayouts);
@@ -173,16 +189,16 @@ std::string DescribeSkippedTags(const GraphFile& file) {
 
 GraphFile ReadGraph(const std::string& path, const ReadOptions& options) {
   if (LooksPacked(path)) return ReadPacked(path, options);
-  const TextFile file(path);
-  Classified lines = Classify(file);
-  const bool is_planar = Dimension(path, lines.known) == 2;
-  GraphFile out = is_planar ? Read<SE2>(path, lines, options) : Read<SE3>(path, lines, options);
-  out.skipped_tags.merge(lines.skipped_tags);
+  GraphLines lines(path);
+  ExpectRoom(lines.Stream().File());
+  Classified classified = Classify(lines);
+  const bool is_planar = Dimension(path, classified.tags) == 2;
+  GraphFile out = is_planar ? Read<SE2>(lines, classified, options) : Read<SE3>(lines, classified, options);
+  out.skipped_tags.merge(classified.skipped_tags);
   // Sensor offsets are for priors in space.
-  const auto is_offset = [](const GraphLine& line) { return line.layout->kind == TagKind::kOffset; };
-  const auto offsets = std::count_if(lines.known.begin(), lines.known.end(), is_offset);
-  if (offsets > 0 && (is_planar || out.format != GraphFormat::kG2o)) {
-    out.skipped_tags["PARAMS_SE3OFFSET"] = static_cast<long>(offsets);
+  const auto offsets = std::find_if(classified.tags.begin(), classified.tags.end(), IsOffset);
+  if (offsets != classified.tags.end() && (is_planar || out.format != GraphFormat::kG2o)) {
+    out.skipped_tags["PARAMS_SE3OFFSET"] = offsets->count;
   }
   return out;
 }

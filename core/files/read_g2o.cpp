@@ -122,35 +122,41 @@ MeasurementLine<Pose> ParseG2oLine(const Fields& fields, const TagLayout& layout
 }
 
 template <class Pose>
-GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines,
-                  const std::unordered_set<std::int64_t>& other_vertices, const ReadOptions& options) {
+GraphFile ReadG2o(GraphLines& lines, const std::unordered_set<std::int64_t>& other_vertices,
+                  const ReadOptions& options) {
   GraphBuilder<Pose> builder(options);
-  Fields fields(path);
+  Fields fields(lines.Path());
   SensorOffsets offsets;
-  const auto parse = [&](const GraphLine& line) {
+  const auto parse = [&](const TagLayout& layout) { return ParseG2oLine<Pose>(fields, layout, options, offsets); };
+  // A measurement may stand before the pose or the parameter that it names.
+  lines.ForEach([&](const GraphLine& line) {
+    if (line.layout == nullptr) return;
+    const TagLayout& layout = *line.layout;
+    const bool is_offset = layout.kind == TagKind::kOffset && Pose::kDim == 3;
+    if (layout.kind != TagKind::kVertex && layout.kind != TagKind::kEdge && !is_offset) return;
     fields.Split(line.line);
-    return ParseG2oLine<Pose>(fields, *line.layout, options, offsets);
-  };
-  for (const GraphLine& line : lines) {
-    if (line.layout->kind != TagKind::kVertex) continue;
-    builder.AddVertex(fields, std::get<VertexLine<Pose>>(parse(line)).T_world_body);
-  }
-  builder.AddPosesOfEdges(path, lines);
-  for (const GraphLine& line : lines) {
-    if (line.layout->kind != TagKind::kOffset || Pose::kDim == 2) continue;
-    AddSensorOffset(fields, std::get<SensorOffsetLine>(parse(line)), &offsets);
-  }
-  for (const GraphLine& line : lines) {
+    if (layout.kind == TagKind::kEdge) {
+      builder.NameEnds(fields, layout);
+    } else if (is_offset) {
+      AddSensorOffset(fields, std::get<SensorOffsetLine>(parse(layout)), &offsets);
+    } else {
+      builder.AddVertex(fields, std::get<VertexLine<Pose>>(parse(layout)).T_world_body);
+    }
+  });
+  builder.AddNamedPoses();
+  lines.ForEach([&](const GraphLine& line) {
+    if (line.layout == nullptr) return;
     const TagKind kind = line.layout->kind;
-    if (kind == TagKind::kVertex || kind == TagKind::kOffset) continue;
-    const MeasurementLine<Pose> parsed = parse(line);
+    if (kind == TagKind::kVertex || kind == TagKind::kOffset) return;
+    fields.Split(line.line);
+    const MeasurementLine<Pose> parsed = parse(*line.layout);
     if (kind == TagKind::kFix) {
       builder.Fix(fields, other_vertices);
     } else {
       builder.AddFactor(fields, std::get<Factor<Pose>>(parsed));
     }
-  }
-  return std::move(builder).Finish(path, GraphFormat::kG2o);
+  });
+  return std::move(builder).Finish(lines.Path(), GraphFormat::kG2o);
 }
 
 template <class Pose>
@@ -182,11 +188,10 @@ int DimensionOfLine(std::string_view text) {
   return layout != nullptr && layout->family == TagFamily::kG2o ? layout->dimension : 0;
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                          \
-  template MeasurementLine<Pose> ParseG2oLine<Pose>(const Fields&, const TagLayout&, const ReadOptions&, \
-                                                    const SensorOffsets&);                               \
-  template GraphFile ReadG2o<Pose>(const std::string&, const std::vector<GraphLine>&,                    \
-                                   const std::unordered_set<std::int64_t>&, const ReadOptions&);         \
+#define TERSE_INSTANTIATE(Pose)                                                                               \
+  template MeasurementLine<Pose> ParseG2oLine<Pose>(const Fields&, const TagLayout&, const ReadOptions&,      \
+                                                    const SensorOffsets&);                                    \
+  template GraphFile ReadG2o<Pose>(GraphLines&, const std::unordered_set<std::int64_t>&, const ReadOptions&); \
   template class MeasurementLineReader<Pose>;
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -120,17 +120,21 @@ void GraphBuilder<Pose>::AddVertex(const Fields& fields, const Pose& T_world_bod
 }
 
 template <class Pose>
-void GraphBuilder<Pose>::AddPosesOfEdges(const std::string& path, const std::vector<GraphLine>& lines) {
-  Fields fields(path);
-  for (const GraphLine& line : lines) {
-    if (line.layout->kind != TagKind::kEdge) continue;
-    fields.Split(line.line);
-    if (fields.Count() < 3) ExpectFields(fields, *line.layout);
-    const PoseId ends[] = {IdField(fields, 1, "from"), IdField(fields, 2, "to")};
-    for (const PoseId id : ends) {
-      if (!graph_.HasPose(id)) graph_.AddPose(id);
-    }
+void GraphBuilder<Pose>::NameEnds(const Fields& fields, const TagLayout& layout) {
+  if (fields.Count() < 3) ExpectFields(fields, layout);
+  const PoseId ends[] = {IdField(fields, 1, "from"), IdField(fields, 2, "to")};
+  for (const PoseId id : ends) {
+    if (!graph_.HasPose(id) && is_named_.insert(id.value).second) named_.push_back(id);
   }
+}
+
+template <class Pose>
+void GraphBuilder<Pose>::AddNamedPoses() {
+  for (const PoseId id : named_) {
+    if (!graph_.HasPose(id)) graph_.AddPose(id);
+  }
+  named_ = {};
+  is_named_ = {};
 }
 
 template <class Pose>

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "terse/core/graph_file.h"
+#include "terse/core/line_stream.h"
 #include "terse/core/measurement_line.h"
-#include "terse/core/text_lines.h"
 
 namespace terse {
 
@@ -25,7 +25,7 @@ struct TagLayout {
 
 struct GraphLine {
   TextLine line;
-  const TagLayout* layout;
+  const TagLayout* layout;  // nullptr if the tag is not known
 };
 
 // T_body_sensor by parameter id.
@@ -33,8 +33,42 @@ using SensorOffsets = std::map<std::int64_t, SE3>;
 // Throws unless it is new or the same as before.
 void AddSensorOffset(const Fields& fields, const SensorOffsetLine& offset, SensorOffsets* offsets);
 
+// Whether a line may begin like this: a letter or _.
+bool IsTag(std::string_view text);
 // nullptr if the tag is not known.
 const TagLayout* FindLayout(std::string_view tag);
+
+// The lines of a file, as often as they are asked for: it need not fit into memory.
+class GraphLines {
+ public:
+  explicit GraphLines(const std::string& path) : stream_(path) {}
+  const std::string& Path() const { return stream_.File().Path(); }
+  const LineStream& Stream() const { return stream_; }
+  // Calls use(const GraphLine&) for every line.
+  template <class Use>
+  void ForEach(Use use) {
+    stream_.Rewind();
+    for (GraphLine line{{}, nullptr}; stream_.Next(line.line);) {
+      const std::string_view tag = FirstField(line.line.text);
+      if (line.layout == nullptr || line.layout->tag != tag) line.layout = FindLayout(tag);
+      use(static_cast<const GraphLine&>(line));
+    }
+  }
+  // Those with tags of this kind alone, split into fields: use(const Fields&, const TagLayout&).
+  template <class Use>
+  void ForEach(TagKind kind, Use use) {
+    Fields fields(Path());
+    ForEach([&](const GraphLine& line) {
+      if (line.layout == nullptr || line.layout->kind != kind) return;
+      fields.Split(line.line);
+      use(static_cast<const Fields&>(fields), *line.layout);
+    });
+  }
+
+ private:
+  LineStream stream_;
+};
+
 // Throws unless the line has as many fields as the layout says.
 void ExpectFields(const Fields& fields, const TagLayout& layout);
 
@@ -76,8 +110,10 @@ class GraphBuilder {
   void AddFactor(const Fields& fields, Factor<Pose> factor);
   // Those of `other_vertices` are of kinds that are not read: they are counted and left out.
   void Fix(const Fields& fields, const std::unordered_set<std::int64_t>& other_vertices);
-  // Adds the poses that only edges name. Call between the vertices and the factors.
-  void AddPosesOfEdges(const std::string& path, const std::vector<GraphLine>& lines);
+  // The line of an edge, with whatever it measures: its ends are poses, even if no vertex line names them.
+  void NameEnds(const Fields& fields, const TagLayout& layout);
+  // Adds the poses that only edges name, in the order of their names. Call between the vertices and the factors.
+  void AddNamedPoses();
 
   // Throws FileError if the graph is in pieces and the options do not allow that.
   GraphFile Finish(const std::string& path, GraphFormat format) &&;
@@ -85,6 +121,8 @@ class GraphBuilder {
  private:
   ReadOptions options_;
   PoseGraph<Pose> graph_;
+  std::vector<PoseId> named_;  // by edges before a vertex line did
+  std::unordered_set<std::int64_t> is_named_;
   long repaired_informations_ = 0;
   long skipped_fixes_ = 0;
 };
@@ -95,20 +133,20 @@ template <class Pose>
 MeasurementLine<Pose> ParseG2oLine(const Fields& fields, const TagLayout& layout, const ReadOptions& options,
                                    const SensorOffsets& offsets);
 
-// One per format. `lines` holds the lines with known tags, of one family and dimension; `other_vertices` the ids of
-// vertices with other tags.
+// One per format. The lines with known tags are of one family and dimension; `other_vertices` are the ids of vertices
+// with other tags.
 template <class Pose>
-GraphFile ReadG2o(const std::string& path, const std::vector<GraphLine>& lines,
-                  const std::unordered_set<std::int64_t>& other_vertices, const ReadOptions& options);
+GraphFile ReadG2o(GraphLines& lines, const std::unordered_set<std::int64_t>& other_vertices,
+                  const ReadOptions& options);
 template <class Pose>
-GraphFile ReadToro(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options);
+GraphFile ReadToro(GraphLines& lines, const ReadOptions& options);
 template <class Pose>
-GraphFile ReadIsam(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options);
+GraphFile ReadIsam(GraphLines& lines, const ReadOptions& options);
 
 // Whether edges alone (EDGE2, EDGE3) are iSAM's: its entries are an upper triangular square root with a positive
 // diagonal, TORO's a positive definite matrix. iSAM if both fit.
 template <class Pose>
-bool LooksLikeIsam(const std::string& path, const std::vector<GraphLine>& lines);
+bool LooksLikeIsam(GraphLines& lines);
 template <class Pose>
 typename Pose::Jacobian ToroInformation(const Fields& fields);
 

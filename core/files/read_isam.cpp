@@ -25,41 +25,41 @@ typename Pose::Jacobian SquareRoot(const Fields& fields) {
 }  // namespace
 
 template <class Pose>
-GraphFile ReadIsam(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options) {
+GraphFile ReadIsam(GraphLines& lines, const ReadOptions& options) {
   GraphBuilder<Pose> builder(options);
-  Fields fields(path);
-  builder.AddPosesOfEdges(path, lines);
-  for (const GraphLine& line : lines) {
-    fields.Split(line.line);
-    if (HasInformation<Pose>(fields)) ExpectFields(fields, *line.layout);
+  lines.ForEach(TagKind::kEdge,
+                [&](const Fields& fields, const TagLayout& layout) { builder.NameEnds(fields, layout); });
+  builder.AddNamedPoses();
+  lines.ForEach(TagKind::kEdge, [&](const Fields& fields, const TagLayout& layout) {
+    if (HasInformation<Pose>(fields)) ExpectFields(fields, layout);
     const PoseId from = IdField(fields, 1, "from"), to = IdField(fields, 2, "to");
     const Pose T_from_to = EulerPoseFields<Pose>(fields, 3);
     const typename Pose::Jacobian R = SquareRoot<Pose>(fields);
     const typename Pose::Jacobian product = R.transpose() * R;
     const typename Pose::Jacobian information = product.template selfadjointView<Eigen::Upper>();
     builder.AddFactor(fields, RelativePoseFactor<Pose>{from, to, T_from_to, information});
-  }
-  return std::move(builder).Finish(path, GraphFormat::kIsam);
+  });
+  return std::move(builder).Finish(lines.Path(), GraphFormat::kIsam);
 }
 
 template <class Pose>
-bool LooksLikeIsam(const std::string& path, const std::vector<GraphLine>& lines) {
+bool LooksLikeIsam(GraphLines& lines) {
   long isam_misfits = 0, toro_misfits = 0;
-  Fields fields(path);
-  for (const GraphLine& line : lines) {
-    fields.Split(line.line);
-    if (!HasInformation<Pose>(fields)) return true;
-    ExpectFields(fields, *line.layout);
+  bool lacks_information = false;  // which only iSAM's may
+  lines.ForEach(TagKind::kEdge, [&](const Fields& fields, const TagLayout& layout) {
+    lacks_information = lacks_information || !HasInformation<Pose>(fields);
+    if (lacks_information) return;
+    ExpectFields(fields, layout);
     if (!(SquareRoot<Pose>(fields).diagonal().array() > 0).all()) ++isam_misfits;
     const Eigen::Matrix<double, Pose::kDof, Pose::kDof> information = ToroInformation<Pose>(fields);
     if (!IsDefinite(information)) ++toro_misfits;
-  }
-  return isam_misfits <= toro_misfits;
+  });
+  return lacks_information || isam_misfits <= toro_misfits;
 }
 
-template GraphFile ReadIsam<SE2>(const std::string&, const std::vector<GraphLine>&, const ReadOptions&);
-template GraphFile ReadIsam<SE3>(const std::string&, const std::vector<GraphLine>&, const ReadOptions&);
-template bool LooksLikeIsam<SE2>(const std::string&, const std::vector<GraphLine>&);
-template bool LooksLikeIsam<SE3>(const std::string&, const std::vector<GraphLine>&);
+template GraphFile ReadIsam<SE2>(GraphLines&, const ReadOptions&);
+template GraphFile ReadIsam<SE3>(GraphLines&, const ReadOptions&);
+template bool LooksLikeIsam<SE2>(GraphLines&);
+template bool LooksLikeIsam<SE3>(GraphLines&);
 
 }  // namespace terse

@@ -21,28 +21,25 @@ Matrix<6, 6> ToroInformation<SE3>(const Fields& fields) {
 }
 
 template <class Pose>
-GraphFile ReadToro(const std::string& path, const std::vector<GraphLine>& lines, const ReadOptions& options) {
+GraphFile ReadToro(GraphLines& lines, const ReadOptions& options) {
   GraphBuilder<Pose> builder(options);
-  Fields fields(path);
-  for (const GraphLine& line : lines) {
-    if (line.layout->kind != TagKind::kVertex) continue;
-    fields.Split(line.line);
-    ExpectFields(fields, *line.layout);
+  lines.ForEach(TagKind::kVertex, [&](const Fields& fields, const TagLayout& layout) {
+    ExpectFields(fields, layout);
     builder.AddVertex(fields, EulerPoseFields<Pose>(fields, 2));
-  }
-  builder.AddPosesOfEdges(path, lines);
-  for (const GraphLine& line : lines) {
-    if (line.layout->kind != TagKind::kEdge) continue;
-    fields.Split(line.line);
-    ExpectFields(fields, *line.layout);
+  });
+  lines.ForEach(TagKind::kEdge,
+                [&](const Fields& fields, const TagLayout& layout) { builder.NameEnds(fields, layout); });
+  builder.AddNamedPoses();
+  lines.ForEach(TagKind::kEdge, [&](const Fields& fields, const TagLayout& layout) {
+    ExpectFields(fields, layout);
     const PoseId from = IdField(fields, 1, "from"), to = IdField(fields, 2, "to");
     const Pose T_from_to = EulerPoseFields<Pose>(fields, 3);
     builder.AddFactor(fields, RelativePoseFactor<Pose>{from, to, T_from_to, ToroInformation<Pose>(fields)});
-  }
-  return std::move(builder).Finish(path, GraphFormat::kToro);
+  });
+  return std::move(builder).Finish(lines.Path(), GraphFormat::kToro);
 }
 
-template GraphFile ReadToro<SE2>(const std::string&, const std::vector<GraphLine>&, const ReadOptions&);
-template GraphFile ReadToro<SE3>(const std::string&, const std::vector<GraphLine>&, const ReadOptions&);
+template GraphFile ReadToro<SE2>(GraphLines&, const ReadOptions&);
+template GraphFile ReadToro<SE3>(GraphLines&, const ReadOptions&);
 
 }  // namespace terse

@@ -1,83 +1,65 @@
 #include "terse/core/line_stream.h"
 
-#include <cerrno>
-#include <cstring>
-#include <filesystem>
+#include <algorithm>
 #include <vector>
 
 #include "terse/core/crc32.h"
-#include "terse/core/limits.h"
 
 namespace terse {
-namespace {
 
-std::ifstream Open(const std::string& path) {
-  std::error_code ignored;
-  if (std::filesystem::is_directory(path, ignored)) throw FileError(path, 0, "is a folder, expected a file");
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw FileError(path, 0, std::string("cannot open: ") + std::strerror(errno));
-  return file;
-}
-
-void ExpectNoFailure(const std::ifstream& file, const std::string& path) {
-  if (file.bad()) throw FileError(path, 0, std::string("cannot read: ") + std::strerror(errno));
-}
-
-}  // namespace
-
-LineStream::LineStream(const std::string& path) : path_(path), file_(Open(path)) {}
-
-bool LineStream::ReadRaw() {
-  // In pieces: what has no line end is refused before it fills the memory.
-  constexpr std::size_t kPiece = std::size_t{1} << 16;
-  char piece[kPiece];
-  raw_.clear();
-  bool has_end = false;
-  while (!has_end && !file_.eof()) {
-    file_.getline(piece, kPiece);
-    const auto count = static_cast<std::size_t>(file_.gcount());
-    ExpectNoFailure(file_, path_);
-    has_end = !file_.fail() && !file_.eof();
-    raw_.append(piece, has_end ? count - 1 : count);  // the end is counted, but not stored
-    if (raw_.size() > kMostLineBytes) {
-      throw FileError(path_, number_ + 1,
-                      "the line has more than " + std::to_string(kMostLineBytes) + " bytes, expected at most that");
-    }
-    if (file_.fail() && !file_.eof()) file_.clear();  // a piece that is full
+bool LineStream::ReadMore() {
+  constexpr std::size_t kPiece = std::size_t{1} << 18;
+  if (is_at_end_) return false;
+  if (file_.IsStored()) {
+    buffer_.erase(0, next_);
+    next_ = 0;
   }
-  return has_end || !raw_.empty();
+  const std::size_t old_size = buffer_.size();
+  // What has no line end is refused before it fills the memory, and so is what has no end.
+  ExpectLineSize(old_size - next_, number_ + 1, file_.Path());
+  if (!file_.IsStored() && old_size > ReadLimits().most_bytes) throw TooLarge(file_.Path(), ReadLimits().most_bytes);
+  buffer_.resize(old_size + kPiece);
+  buffer_.resize(old_size + file_.Read(buffer_.data() + old_size, kPiece));
+  const std::string_view unread = std::string_view(buffer_).substr(next_);
+  if (buffer_.find('\0', old_size) != std::string::npos) ExpectText(file_.Path(), unread, number_ + 1);
+  is_at_end_ = buffer_.size() == old_size;
+  if (is_at_end_) file_.ExpectUnchanged();
+  return !is_at_end_;
 }
 
 bool LineStream::Next(TextLine& line) {
-  while (ReadRaw()) {
-    ++number_;
-    std::string_view text = raw_;
-    if (number_ == 1 && text.substr(0, 3) == "\xEF\xBB\xBF") text.remove_prefix(3);  // an editor's byte order mark
-    if (text.find('\0') != std::string_view::npos) {
-      throw FileError(path_, number_, "the line holds a zero byte, expected text");
+  while (true) {
+    std::size_t end = buffer_.find('\n', next_);
+    while (end == std::string::npos) {
+      const std::size_t seen = buffer_.size() - next_;
+      if (!ReadMore()) break;
+      end = buffer_.find('\n', next_ + seen);
     }
-    constexpr std::string_view kBlanks = " \t\r\v\f";
-    const std::size_t first = text.find_first_not_of(kBlanks);
-    if (first == std::string_view::npos) continue;
-    text = text.substr(first, text.find_last_not_of(kBlanks) + 1 - first);
-    if (text[0] == '#' || text.substr(0, 2) == "//") continue;
-    line = {number_, text};
-    return true;
+    if (end == std::string::npos && next_ == buffer_.size()) return false;
+    const std::string_view raw = std::string_view(buffer_).substr(next_, std::min(end, buffer_.size()) - next_);
+    next_ += raw.size() + (end == std::string::npos ? 0 : 1);
+    if (ReadLine(raw, ++number_, file_.Path(), &line)) return true;
   }
-  ExpectNoFailure(file_, path_);
-  return false;
+}
+
+void LineStream::Rewind() {
+  if (file_.IsStored()) {
+    file_.Rewind();
+    buffer_.clear();
+    is_at_end_ = false;
+  }
+  next_ = 0;
+  number_ = 0;
 }
 
 FileFingerprint FingerprintOf(const std::string& path) {
-  std::ifstream file = Open(path);
+  InputFile file(path);
   FileFingerprint out;
   std::vector<char> piece(std::size_t{1} << 20);
-  while (file.read(piece.data(), static_cast<std::streamsize>(piece.size())) || file.gcount() > 0) {
-    const std::string_view bytes(piece.data(), static_cast<std::size_t>(file.gcount()));
-    out.bytes += bytes.size();
-    out.crc32 = Crc32(bytes, out.crc32);
+  while (const std::size_t count = file.Read(piece.data(), piece.size())) {
+    out.bytes += count;
+    out.crc32 = Crc32({piece.data(), count}, out.crc32);
   }
-  ExpectNoFailure(file, path);
   return out;
 }
 

@@ -9,56 +9,79 @@
 #include <cerrno>
 
 #include "terse/core/descriptor.h"
-#include "terse/core/error.h"
 
 namespace terse {
 namespace {
 
-std::string ErrorText() { return SystemReason(errno); }
+FileError CannotRead(const std::string& path) { return FileError(path, 0, "cannot read: " + SystemReason(errno)); }
 
-class Descriptor {
- public:
-  explicit Descriptor(const std::string& path) : number_(::open(path.c_str(), O_RDONLY | O_CLOEXEC)) {
-    if (number_ >= 0) return;
-    throw FileError(path, 0, errno == ENOENT ? "the file does not exist" : "cannot read: " + ErrorText());
-  }
-  ~Descriptor() { ::close(number_); }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  int Number() const { return number_; }
+struct stat StatusOf(int descriptor, const std::string& path) {
+  struct stat status {};
+  if (::fstat(descriptor, &status) != 0) throw CannotRead(path);
+  return status;
+}
 
- private:
-  int number_;
-};
+std::int64_t LastChange(const struct stat& status) {
+  return std::int64_t{status.st_mtim.tv_sec} * 1000000000 + status.st_mtim.tv_nsec;
+}
 
 std::string Mebibytes(std::uint64_t bytes) {
   constexpr std::uint64_t kMebibyte = std::uint64_t{1} << 20;
   return bytes % kMebibyte == 0 ? std::to_string(bytes / kMebibyte) + " MiB" : std::to_string(bytes) + " bytes";
 }
 
-FileError TooLarge(const std::string& path, std::uint64_t most) {
-  return FileError(path, 0, "the file is too large or has no end, expected at most " + Mebibytes(most));
-}
-
-void ExpectText(const std::string& path, std::string_view content) {
-  const std::size_t nul = content.find('\0');
-  if (nul == std::string_view::npos) return;
-  const auto line = 1 + std::count(content.begin(), content.begin() + static_cast<std::ptrdiff_t>(nul), '\n');
-  throw FileError(path, static_cast<long>(line), "a binary file (it holds a zero byte), expected text");
+int Open(const std::string& path) {
+  const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (descriptor >= 0) return descriptor;
+  throw errno == ENOENT ? FileError(path, 0, "the file does not exist") : CannotRead(path);
 }
 
 }  // namespace
 
-std::string ReadAll(const std::string& path, const ReadLimits& limits) {
-  const Descriptor file(path);
-  struct stat status {};
-  if (::fstat(file.Number(), &status) != 0) throw FileError(path, 0, "cannot read: " + ErrorText());
+InputFile::InputFile(const std::string& path) : InputFile(path, Open(path)) {
+  const struct stat status = StatusOf(descriptor_, path);
   if (S_ISDIR(status.st_mode)) throw FileError(path, 0, "cannot read: it is a folder, expected a file");
+  is_stored_ = S_ISREG(status.st_mode);
+  bytes_ = static_cast<std::uint64_t>(status.st_size);
+  changed_ns_ = LastChange(status);
+}
+
+InputFile::~InputFile() { ::close(descriptor_); }
+
+std::size_t InputFile::Read(char* bytes, std::size_t size) {
+  const long count = ReadSome(descriptor_, bytes, size);
+  if (count < 0) throw CannotRead(path_);
+  return static_cast<std::size_t>(count);
+}
+
+void InputFile::ExpectUnchanged() const {
+  if (!is_stored_) return;
+  const struct stat status = StatusOf(descriptor_, path_);
+  if (static_cast<std::uint64_t>(status.st_size) == bytes_ && LastChange(status) == changed_ns_) return;
+  throw FileError(path_, 0, "the file was changed while it was read");
+}
+
+void InputFile::Rewind() {
+  if (::lseek(descriptor_, 0, SEEK_SET) != 0) throw CannotRead(path_);
+}
+
+FileError TooLarge(const std::string& path, std::uint64_t most_bytes) {
+  return FileError(path, 0, "the file is too large or has no end, expected at most " + Mebibytes(most_bytes));
+}
+
+void ExpectText(const std::string& path, std::string_view content, long first_line) {
+  const std::size_t nul = content.find('\0');
+  if (nul == std::string_view::npos) return;
+  const auto line = std::count(content.begin(), content.begin() + static_cast<std::ptrdiff_t>(nul), '\n');
+  throw FileError(path, first_line + static_cast<long>(line), "a binary file (it holds a zero byte), expected text");
+}
+
+std::string ReadAll(const std::string& path, const ReadLimits& limits) {
+  InputFile file(path);
   std::string content;
-  if (S_ISREG(status.st_mode)) {
-    const auto size = static_cast<std::uint64_t>(status.st_size);
-    if (size > limits.most_bytes) throw TooLarge(path, limits.most_bytes);
-    content.reserve(size + 1);  // it is on the disk; a sparse file costs no memory until it is read
+  if (file.IsStored()) {
+    if (file.Bytes() > limits.most_bytes) throw TooLarge(path, limits.most_bytes);
+    content.reserve(file.Bytes() + 1);  // it is on the disk; a sparse file costs no memory until it is read
   }
   std::array<char, 1 << 16> chunk;
   bool is_checked = !limits.check_start;
@@ -66,12 +89,9 @@ std::string ReadAll(const std::string& path, const ReadLimits& limits) {
     is_checked = true;
     limits.check_start(content);
   };
-  while (true) {
-    const long count = ReadSome(file.Number(), chunk.data(), chunk.size());
-    if (count < 0) throw FileError(path, 0, "cannot read: " + ErrorText());
-    if (count == 0) break;
-    if (content.size() + static_cast<std::uint64_t>(count) > limits.most_bytes) throw TooLarge(path, limits.most_bytes);
-    content.append(chunk.data(), static_cast<std::size_t>(count));
+  while (const std::size_t count = file.Read(chunk.data(), chunk.size())) {
+    if (content.size() + count > limits.most_bytes) throw TooLarge(path, limits.most_bytes);
+    content.append(chunk.data(), count);
     if (!is_checked && content.size() >= chunk.size()) check();
   }
   if (!is_checked) check();

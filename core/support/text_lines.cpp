@@ -49,23 +49,29 @@ TextFile::TextFile(const std::string& path, const ReadLimits& limits) : path_(pa
   if (content_.empty()) throw FileError(path, 0, "the file is empty, expected lines of text");
 }
 
+void ExpectLineSize(std::size_t bytes, long number, const std::string& path) {
+  if (bytes <= kMostLineBytes) return;
+  throw FileError(path, number, "the line is too long, expected at most " + std::to_string(kMostLineBytes) + " bytes");
+}
+
+bool ReadLine(std::string_view raw, long number, const std::string& path, TextLine* line) {
+  ExpectLineSize(raw.size(), number, path);
+  if (number == 1 && raw.substr(0, 3) == "\xEF\xBB\xBF") raw.remove_prefix(3);  // an editor's byte order mark
+  while (!raw.empty() && IsBlank(raw.front())) raw.remove_prefix(1);
+  while (!raw.empty() && IsBlank(raw.back())) raw.remove_suffix(1);
+  if (raw.empty() || raw[0] == '#' || raw.substr(0, 2) == "//") return false;
+  *line = {number, raw};
+  return true;
+}
+
 std::vector<TextLine> TextFile::Lines() const {
   std::vector<TextLine> lines;
   std::string_view rest = content_;
-  if (rest.substr(0, 3) == "\xEF\xBB\xBF") rest.remove_prefix(3);  // an editor's byte order mark
+  TextLine line;
   for (long number = 1; !rest.empty(); ++number) {
     const std::size_t end = rest.find('\n');
-    std::string_view text = rest.substr(0, end);
+    if (ReadLine(rest.substr(0, end), number, path_, &line)) lines.push_back(line);
     rest.remove_prefix(end == std::string_view::npos ? rest.size() : end + 1);
-    if (text.size() > kMostLineBytes) {
-      throw FileError(
-          path_, number,
-          "the line has " + std::to_string(text.size()) + " bytes, expected at most " + std::to_string(kMostLineBytes));
-    }
-    while (!text.empty() && IsBlank(text.front())) text.remove_prefix(1);
-    while (!text.empty() && IsBlank(text.back())) text.remove_suffix(1);
-    if (text.empty() || text[0] == '#' || text.substr(0, 2) == "//") continue;
-    lines.push_back({number, text});
   }
   return lines;
 }

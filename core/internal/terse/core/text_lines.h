@@ -17,6 +17,11 @@ struct TextLine {
   std::string_view text;  // without the line end, CR or LF
 };
 
+// Throws FileError if so many bytes are beyond kMostLineBytes.
+void ExpectLineSize(std::size_t bytes, long number, const std::string& path);
+// The line without blanks around it; false if it is blank or a comment (# or // first). Throws as ExpectLineSize does.
+bool ReadLine(std::string_view raw, long number, const std::string& path, TextLine* line);
+
 // A file read whole. Throws FileError if it is missing, a folder, unreadable, empty, too large, binary (holds NUL
 // bytes) or has a line beyond kMostLineBytes.
 class TextFile {
@@ -25,7 +30,7 @@ class TextFile {
   TextFile(const TextFile&) = delete;
   TextFile& operator=(const TextFile&) = delete;
   const std::string& Path() const { return path_; }
-  // Lines that are neither blank nor comments (# or // first). The views live as long as the file.
+  // Lines that are neither blank nor comments. The views live as long as the file.
   std::vector<TextLine> Lines() const;
 
  private:
