@@ -258,13 +258,13 @@ TEST(BufferPool, HoldsAFewTimesItsLargestBuffer) {
   std::size_t given = 0, largest = 0;
   for (std::size_t size = 1000; size < 1000000; size += size / 8) {
     for (int k = 0; k < 4; ++k) {
-      std::vector<double> buffer = pool.Take(size);
+      internal::FrontBuffer buffer = pool.Take(size);
       ASSERT_GE(buffer.size(), size);
       EXPECT_LE(buffer.size(), size + 3 * size / 8 + 1);
       largest = std::max(largest, buffer.size());
       given += buffer.size();
       pool.MakeRoom(buffer.size());
-      std::vector<double> another(buffer.size());
+      internal::FrontBuffer another(buffer.size());
       pool.Give(std::move(buffer));
       pool.Give(std::move(another));
       EXPECT_LE(pool.Scalars(), std::max<std::size_t>(4 * largest, 1 << 20));
@@ -274,7 +274,7 @@ TEST(BufferPool, HoldsAFewTimesItsLargestBuffer) {
   EXPECT_GT(pool.Scalars(), largest);
   // What was given last is given out first, and not twice.
   const std::size_t before = pool.Scalars();
-  const std::vector<double> taken = pool.Take(largest);
+  const internal::FrontBuffer taken = pool.Take(largest);
   EXPECT_EQ(pool.Scalars(), before - taken.size());
   EXPECT_EQ(internal::BufferPool(pool).Scalars(), 0u);
   internal::BufferPool moved(std::move(pool));

@@ -304,7 +304,7 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
       front.panel.BeginStoring(scratch.updates.Take(rows * columns));
     } else if (front.panel.Size() < rows * columns) {
       // The pool is nobody's who works beside others.
-      front.panel.SetBuffer(drops ? std::vector<double>(rows * columns) : pool_.Take(rows * columns));
+      front.panel.SetBuffer(drops ? FrontBuffer(rows * columns) : pool_.Take(rows * columns));
     }
     if (front.update.size() < n * n) front.update = drops ? scratch.updates.Take(n * n) : pool_.Take(n * n);
   };
@@ -318,7 +318,7 @@ int FrontFactorization<B>::FactorAll(const std::vector<Front<B>*>& fronts, const
     failed[At(k)] = FactorFront(*fronts[At(k)], from, scratch, parallel);
     if (fronts[At(k)]->panel.HasPlace()) scratch.updates.Give(fronts[At(k)]->panel.Store());
     children.ForEach(k, [&](int child) {
-      std::vector<double>& update = fronts[At(child)]->update;
+      FrontBuffer& update = fronts[At(child)]->update;
       if (update.size() >= ShortLivedBuffers::kLeast) scratch.updates.Give(std::move(update));
     });
     while (failed[At(k)] >= 0 && k < seen && !end.compare_exchange_weak(seen, k)) continue;
@@ -368,7 +368,7 @@ void FrontFactorization<B>::WorkInCorrections(Front<B>& front) {
   if (front.corrections.empty()) return;
   const int n = B * static_cast<int>(front.separators.size()) + 1, old = front.UpdateRows();
   if (n != old) {
-    std::vector<double> wider = pool_.Take(At(n) * At(n));
+    FrontBuffer wider = pool_.Take(At(n) * At(n));
     ClearLower(wider.data(), n, n);
     for (int c = 0; c < old - 1; ++c) {
       const double* from = front.update.data() + At(c) * At(old);

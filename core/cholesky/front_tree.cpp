@@ -17,9 +17,9 @@ bool AreBelow(const std::vector<int>& numbers, size_t n, int least = 0) {
 
 // For a matrix of which the lower trapezoid comes next.
 template <class Archive>
-std::vector<double> RoomFor(Archive& archive, int rows, int columns) {
+FrontBuffer RoomFor(Archive& archive, int rows, int columns) {
   archive.Require(At(rows) * At(columns) / 2, sizeof(double));
-  return std::vector<double>(At(rows) * At(columns));
+  return FrontBuffer(At(rows) * At(columns));
 }
 
 // The lower trapezoid of a column-major matrix. What is above is never read.

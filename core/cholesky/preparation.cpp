@@ -79,7 +79,7 @@ int Preparation<B>::Factor(int id, const FrontPaths<B>& affected, const BlockSys
   const auto place = [&](int child) { return affected.Find(child) < 0 ? -1 : place_[At(child)]; };
   numbers.CopyShape(id, place, tree, front);
   const std::size_t rows = At(front.Rows()), p = At(front.Columns()), n = rows - p;
-  if (front.panel.Size() < rows * p) front.panel.SetBuffer(std::vector<double>(rows * p));
+  if (front.panel.Size() < rows * p) front.panel.SetBuffer(FrontBuffer(rows * p));
   if (front.update.size() < n * n) front.update.resize(n * n);
   typename FrontFactorization<B>::Normals normals;
   for (const int slot : front.slots) {

@@ -68,7 +68,7 @@ int Append(UpdateContext<B>& update) {
     parents.push_back(up < old_variables ? update.tree.FrontOf(up) : -1 - (up - old_variables));
     front.ordered_rows = front.Rows();
     front.ordered_columns = front.Columns();
-    front.panel.SetBuffer(std::vector<double>(At(front.Rows()) * B));
+    front.panel.SetBuffer(FrontBuffer(At(front.Rows()) * B));
     front.update.resize((B + 1) * (B + 1));
     const int failed = update.numbers.Factor(front, {}, system, update.tree);
     if (failed >= 0) return failed;
@@ -161,7 +161,7 @@ bool RankUpdate<B>::IsCheaper(const FrontTree<B>& tree, Path& path) const {
 template <int B>
 int RankUpdate<B>::ResumeRoot(Front<B>& front, int first, const double* W, int columns, BufferPool& pool) {
   const int rows = front.Rows(), t = front.Columns() - first, n = rows - first;
-  std::vector<double> L = pool.Take(At(n) * At(t)), C = pool.Take(At(n) * At(n));
+  FrontBuffer L = pool.Take(At(n) * At(t)), C = pool.Take(At(n) * At(n));
   std::fill_n(C.begin(), At(n) * At(n), 0.0);
   const auto panel = [&](int c) { return front.Entry(first, first + c); };
   for (int c = 0; c < t; ++c) {
@@ -176,7 +176,7 @@ int RankUpdate<B>::ResumeRoot(Front<B>& front, int first, const double* W, int c
   }
   const int failed = kernels.factor_panel(C.data(), n, n, t);
   for (int c = 0; c < t; ++c) std::copy_n(C.data() + At(c) * At(n) + At(c), n - c, panel(c) + c);
-  for (std::vector<double>* buffer : {&L, &C}) {
+  for (FrontBuffer* buffer : {&L, &C}) {
     pool.MakeRoom(buffer->size());
     pool.Give(std::move(*buffer));
   }
@@ -224,7 +224,7 @@ int RankUpdate<B>::PlaceVariables(Front<B>& front, const Front<B>& old, const Be
 // that is not zero, or that of y.
 template <int B>
 int RankUpdate<B>::FillColumns(const Front<B>& front, const Below& below, UpdateContext<B>& update,
-                               std::vector<double>& W) const {
+                               FrontBuffer& W) const {
   const std::vector<int>& row_of = update.numbers.RowOf();
   const int rows = front.Rows();
   int first = front.Columns();
@@ -283,7 +283,7 @@ int RankUpdate<B>::UpdateFront(const Front<B>& old, Front<B>& front, const Below
   BufferPool& pool = update.numbers.Pool();
   const int columns = PlaceVariables(front, old, below, update);
   const int rows = front.Rows(), p = front.Columns();
-  std::vector<double> W = pool.Take(At(rows) * At(columns));
+  FrontBuffer W = pool.Take(At(rows) * At(columns));
   std::fill_n(W.begin(), At(rows) * At(columns), 0.0);
   const int first = FillColumns(front, below, update, W);
   WidenPanel(front, old, pool);

@@ -45,7 +45,7 @@ class RankUpdate {
  private:
   using Below = std::vector<const Front<B>*>;  // changed children
   int PlaceVariables(Front<B>& front, const Front<B>& old, const Below& below, UpdateContext<B>& update);
-  int FillColumns(const Front<B>& front, const Below& below, UpdateContext<B>& update, std::vector<double>& W) const;
+  int FillColumns(const Front<B>& front, const Below& below, UpdateContext<B>& update, FrontBuffer& W) const;
   static void WidenPanel(Front<B>& front, const Front<B>& old, BufferPool& pool);
   static int ResumeRoot(Front<B>& front, int first, const double* W, int columns, BufferPool& pool);
   int UpdateFront(const Front<B>& old, Front<B>& front, const Below& below, UpdateContext<B>& update);

@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "terse/core/front_buffer.h"
+
 namespace terse::internal {
 
 // Taken buffers hold anything. A copy of a pool is empty. It holds a few times its largest buffer at most: what was
@@ -29,24 +31,24 @@ class BufferPool {
   ~BufferPool() = default;
 
   // At least `size` long, at most three eighths longer.
-  std::vector<double> Take(std::size_t size) {
-    if (size < kSmall) return std::vector<double>(size);
+  FrontBuffer Take(std::size_t size) {
+    if (size < kSmall) return FrontBuffer(size);
     size = Rounded(size);
     for (auto it = free_.lower_bound(size); it != free_.end() && it->first <= size + size / 4; ++it) {
       if (it->second.empty()) continue;
-      std::vector<double> out = std::move(it->second.back().buffer);
+      FrontBuffer out = std::move(it->second.back().buffer);
       it->second.pop_back();
       scalars_ -= out.size();
       return out;
     }
-    return std::vector<double>(size);
+    return FrontBuffer(size);
   }
   // What the pool has no room for is freed.
-  void Give(std::vector<double>&& buffer) noexcept {
+  void Give(FrontBuffer&& buffer) noexcept {
     const std::size_t size = buffer.size();
-    if (size < kSmall || size != Rounded(size)) return std::vector<double>().swap(buffer);
+    if (size < kSmall || size != Rounded(size)) return FrontBuffer().swap(buffer);
     const auto it = free_.find(size);
-    if (it == free_.end() || it->second.size() == kKept) return std::vector<double>().swap(buffer);
+    if (it == free_.end() || it->second.size() == kKept) return FrontBuffer().swap(buffer);
     it->second.push_back({std::move(buffer), ++given_});
     scalars_ += size;
     if (size > largest_) largest_ = size;
@@ -63,7 +65,7 @@ class BufferPool {
   static constexpr std::size_t kSmall = 512, kKept = 4;               // scalars; of a size
   static constexpr std::size_t kAlways = 1 << 20, kTimesLargest = 4;  // scalars in all
   struct Kept {
-    std::vector<double> buffer;
+    FrontBuffer buffer;
     std::uint64_t given;
   };
 
@@ -103,26 +105,26 @@ class ShortLivedBuffers {
   ~ShortLivedBuffers() = default;
 
   // At least `size` long; holds anything.
-  std::vector<double> Take(std::size_t size) {
-    if (size < kLeast || size > kMost) return std::vector<double>(size);
+  FrontBuffer Take(std::size_t size) {
+    if (size < kLeast || size > kMost) return FrontBuffer(size);
     const auto it = free_.lower_bound(size);
-    if (it == free_.end() || it->first > kFit * size) return std::vector<double>(size + size / 8);
-    std::vector<double> out = std::move(it->second);
+    if (it == free_.end() || it->first > kFit * size) return FrontBuffer(size + size / 8);
+    FrontBuffer out = std::move(it->second);
     free_.erase(it);
     scalars_ -= out.size();
     return out;
   }
   // What there is no room for is freed.
-  void Give(std::vector<double>&& buffer) {
+  void Give(FrontBuffer&& buffer) {
     const std::size_t size = buffer.size();
-    if (size < kLeast || scalars_ + size > kMost) return std::vector<double>().swap(buffer);
+    if (size < kLeast || scalars_ + size > kMost) return FrontBuffer().swap(buffer);
     scalars_ += size;
     free_.emplace(size, std::move(buffer));
   }
 
  private:
   static constexpr std::size_t kMost = 4000000, kFit = 4;  // scalars in all; times what is wanted
-  std::multimap<std::size_t, std::vector<double>> free_;   // by length
+  std::multimap<std::size_t, FrontBuffer> free_;           // by length
   std::size_t scalars_ = 0;
 };
 

@@ -25,7 +25,7 @@ struct Front {
   std::vector<int> slots;  // linear factors assembled here
   Panel panel;             // (p + s + 1) x p, column-major, p = B |P|, s = B |S|; may be longer
   // (u + 1) x (u + 1), column-major, lower triangle, u = B update_separators: the first of S; may be longer.
-  std::vector<double> update;
+  FrontBuffer update;
   int update_separators = 0;
   std::vector<Correction> corrections;
   double log_det = 0;                         // sum of 2 ln L_kk

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "terse/core/front_buffer.h"
 #include "terse/core/limits.h"
 
 namespace terse::internal {
@@ -66,12 +67,12 @@ class Panel {
   }
 
   // In memory, whatever it was before.
-  void SetBuffer(std::vector<double>&& buffer) {
+  void SetBuffer(FrontBuffer&& buffer) {
     *this = Panel();
     buffer_ = std::move(buffer);
   }
   // Left without any; what it gives is empty if the numbers are in a file.
-  std::vector<double> TakeBuffer() {
+  FrontBuffer TakeBuffer() {
     Panel taken;
     Swap(taken);
     return std::move(taken.buffer_);
@@ -85,9 +86,9 @@ class Panel {
     size_ = size;
   }
   bool HasPlace() const { return file_ != nullptr; }
-  void BeginStoring(std::vector<double>&& buffer) { buffer_ = std::move(buffer); }
+  void BeginStoring(FrontBuffer&& buffer) { buffer_ = std::move(buffer); }
   // Gives the buffer back.
-  std::vector<double> Store() {
+  FrontBuffer Store() {
     file_->Write(at_, buffer_.data(), size_);
     return std::exchange(buffer_, {});
   }
@@ -96,7 +97,7 @@ class Panel {
   }
 
  private:
-  std::vector<double> buffer_;  // at least as long as it has to be; in a file empty but while it is made
+  FrontBuffer buffer_;  // at least as long as it has to be; in a file empty but while it is made
   std::shared_ptr<PanelFile> file_;
   std::size_t at_ = 0, size_ = 0;  // in the file
 };
