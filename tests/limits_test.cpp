@@ -5,6 +5,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <fstream>
 #include <string>
@@ -89,7 +90,8 @@ TEST(LimitsTest, FilesUpToTheLimit) {
 // What the file system claims costs neither time nor memory.
 TEST(LimitsTest, FileLargerThanAnyMemoryIsRefusedUnread) {
   const TestFile file("sparse", "VERTEX_SE2 0 0 0 0\n");
-  if (truncate(file.Path().c_str(), off_t{1} << 42) != 0) GTEST_SKIP() << "the file system takes no such file";
+  const auto bytes = static_cast<off_t>(std::max(std::uint64_t{1} << 42, UsableMemory() / 2 * 5));
+  if (truncate(file.Path().c_str(), bytes) != 0) GTEST_SKIP() << "the file system takes no such file";
   ExpectRefused([&] { ReadGraph(file.Path()); }, file.Path(), 0, "too large or has no end");
   ExpectRefused([&] { ReadTrajectory(file.Path()); }, file.Path(), 0, "too large or has no end");
   ExpectRefused([&] { StateReader(file.Path(), "any"); }, file.Path(), 0, "too large or has no end");
@@ -115,6 +117,18 @@ TEST(LimitsTest, TextBesideAGraphTakesNoMemory) {
   std::remove(path.c_str());
   EXPECT_EQ(poses, 3u);
   EXPECT_LT(growth, 40) << "MiB, of a file of 200";
+}
+
+// As a text that is no graph has.
+TEST(LimitsTest, SoManyUnknownTags) {
+  const auto with_tags = [](int count) {
+    std::string out = Chain(3);
+    for (int k = 0; k < count; ++k) out += "TAG_" + std::to_string(k) + " 1\n";
+    return out;
+  };
+  const TestFile most("most.g2o", with_tags(1000)), more("more.g2o", with_tags(1005));
+  EXPECT_EQ(ReadGraph(most.Path()).skipped_tags.size(), 1000u);
+  ExpectRefused([&] { ReadGraph(more.Path()); }, more.Path(), 1003, "kinds that are not known, the last \"TAG_1000\"");
 }
 
 TEST(LimitsTest, EndlessInputsAreRefusedAtTheirStart) {

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 #include <sys/stat.h>
 
+#include <chrono>
 #include <fstream>
 #include <random>
 #include <string>
@@ -55,7 +56,7 @@ TEST(LineStream, GivesTheLinesOfTheWholeFile) {
   std::string content;
   for (int k = 0; k < 60; ++k) {
     const std::size_t length =
-        k % 3 == 0 ? random() % 5 : (std::size_t{1} << 16) * (1 + random() % 2) - 3 + random() % 6;
+        k % 3 == 0 ? random() % 5 : (std::size_t{1} << 18) * (random() % 2 + 1) - 3 + random() % 6;
     content += std::string(length, static_cast<char>('a' + k % 26)) + "\n";
   }
   EXPECT_EQ(Streamed(content), Whole(content));
@@ -67,6 +68,22 @@ std::string ManyLines() {
   std::string content;
   for (int k = 0; k < 50000; ++k) content += "line " + std::to_string(k) + (k % 7 == 0 ? "\n\n" : "\n");
   return content;  // of more than one piece
+}
+
+TEST(LineStream, StripsBlanksMarksAndComments) {
+  const std::vector<Line> wanted = {{1, "a 1"}, {3, "b\t2"}, {6, "c"}};
+  EXPECT_EQ(Streamed("\xEF\xBB\xBF a 1 \r\n\r\n\tb\t2\v\n# no\n // no\nc"), wanted);
+}
+
+// The end of a line, and of the file, before, at and behind the end of a piece.
+TEST(LineStream, PiecesEndAnywhere) {
+  for (int shift = -2; shift <= 2; ++shift) {
+    const auto length = static_cast<std::size_t>((1 << 18) + shift);
+    const std::string first(length, 'x');
+    EXPECT_EQ(Streamed(first), (std::vector<Line>{{1, first}}));
+    EXPECT_EQ(Streamed(first + "\n"), (std::vector<Line>{{1, first}}));
+    EXPECT_EQ(Streamed(first + "\r\ny"), (std::vector<Line>{{1, first}, {2, "y"}}));
+  }
 }
 
 TEST(LineStream, BeginsAgain) {
@@ -102,16 +119,24 @@ TEST(LineStream, KeepsWhatAPipeGives) {
 
 // Half of the old and half of the new content would be neither.
 TEST(LineStream, RefusesAFileThatChangesMeanwhile) {
-  const TestFile file("lines.txt", ManyLines());
-  LineStream stream(file.Path());
-  TextLine line;
-  ASSERT_TRUE(stream.Next(line));
-  std::ofstream(file.Path(), std::ios::app) << "one more\n";
-  try {
-    Rest(stream);
-    FAIL() << "read as if nothing had happened";
-  } catch (const FileError& error) {
-    EXPECT_NE(std::string(error.what()).find("was changed while it was read"), std::string::npos) << error.what();
+  for (const bool is_longer : {true, false}) {
+    const TestFile file("lines.txt", ManyLines());
+    std::filesystem::last_write_time(file.Path(),
+                                     std::filesystem::file_time_type::clock::now() - std::chrono::hours(1));
+    LineStream stream(file.Path());
+    TextLine line;
+    ASSERT_TRUE(stream.Next(line));
+    if (is_longer) {
+      std::ofstream(file.Path(), std::ios::app) << "one more\n";
+    } else {
+      std::ofstream(file.Path(), std::ios::in | std::ios::out) << "LINE";
+    }
+    try {
+      Rest(stream);
+      ADD_FAILURE() << "read as if nothing had happened";
+    } catch (const FileError& error) {
+      EXPECT_NE(std::string(error.what()).find("was changed while it was read"), std::string::npos) << error.what();
+    }
   }
 }
 

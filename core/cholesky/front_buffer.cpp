@@ -7,13 +7,17 @@
 namespace terse::internal {
 
 void* AllocateBuffer(std::size_t bytes) {
-  constexpr std::size_t kLargePage = std::size_t{1} << 21, kLeast = 2 * kLargePage;
-  const bool is_large = bytes >= kLeast;
-  const std::size_t size = is_large ? (bytes + kLargePage - 1) / kLargePage * kLargePage : bytes;
-  void* const buffer = is_large ? std::aligned_alloc(kLargePage, size) : std::malloc(size);
+  constexpr std::size_t kLargePage = std::size_t{1} << 21, kLarge = 2 * kLargePage;
+  void* buffer = nullptr;
+  if (bytes < kLarge) {
+    buffer = std::malloc(bytes);
+  } else if (::posix_memalign(&buffer, kLargePage, bytes) != 0) {
+    buffer = nullptr;
+  }
   if (buffer == nullptr) throw std::bad_alloc();
 #ifdef MADV_HUGEPAGE
-  if (is_large) ::madvise(buffer, size, MADV_HUGEPAGE);  // no promise, only faster
+  // Refused where the system has no large pages. What shares the last one with the buffer has it too.
+  if (bytes >= kLarge) ::madvise(buffer, (bytes + kLargePage - 1) / kLargePage * kLargePage, MADV_HUGEPAGE);
 #endif
   return buffer;
 }

@@ -248,7 +248,11 @@ void FrontFactorization<B>::Assemble(Part part, Front<B>& front, const Sources& 
 template <int B>
 int FrontFactorization<B>::FactorFront(Front<B>& front, const Sources& from, Scratch& scratch, bool parallel) {
   const int rows = front.Rows(), p = front.Columns(), n = rows - p;
-  ClearLower(front.panel.Buffer(), rows, p);
+  if (front.panel.HasPlace()) {
+    std::fill_n(front.panel.Buffer(), At(rows) * At(p), 0.0);  // all of it goes into the file
+  } else {
+    ClearLower(front.panel.Buffer(), rows, p);
+  }
   front.update_separators = static_cast<int>(front.separators.size());
   front.corrections.clear();
   front.ForEachRow([&](int v, int row) { scratch.row_of[At(v)] = row; });

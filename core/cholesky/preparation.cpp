@@ -80,7 +80,7 @@ int Preparation<B>::Factor(int id, const FrontPaths<B>& affected, const BlockSys
   numbers.CopyShape(id, place, tree, front);
   const std::size_t rows = At(front.Rows()), p = At(front.Columns()), n = rows - p;
   if (front.panel.Size() < rows * p) front.panel.SetBuffer(FrontBuffer(rows * p));
-  if (front.update.size() < n * n) front.update.resize(n * n);
+  if (front.update.size() < n * n) front.update = FrontBuffer(n * n);
   typename FrontFactorization<B>::Normals normals;
   for (const int slot : front.slots) {
     if (Has(slot)) normals[slot] = BlockSystem<B>::NormalOf(entries_[At(entry_of_[At(slot)])].second);

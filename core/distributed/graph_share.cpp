@@ -31,6 +31,7 @@ class ShareReader {
     share_.begin = static_cast<int>(poses * rank_ / ranks_);
     share_.end = static_cast<int>(poses * (rank_ + 1) / ranks_);
     ReadMeasurements();
+    share_.file = lines_.File().Version();
     return std::move(share_);
   }
 
@@ -95,7 +96,7 @@ class ShareReader {
       parts -=
           sets.Join(static_cast<std::size_t>(index_.at(from.value)), static_cast<std::size_t>(index_.at(to.value)));
     }
-    ends_ = {};
+    std::vector<std::pair<PoseId, PoseId>>().swap(ends_);
     if (parts == 1) return;
     throw FileError(path_, 0, "the graph falls into " + std::to_string(parts) + " components; expected one");
   }
@@ -181,11 +182,12 @@ std::vector<std::pair<int, int>> NeighboursOf(const GraphShare<Pose>& share) {
 }
 
 template <class Pose>
-void CopyG2o(const std::string& path, const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body,
+void CopyG2o(const std::string& path, const GraphShare<Pose>& share, const std::vector<Pose>& T_world_body,
              const std::string& output) {
-  AtomicFile file(output);
-  for (std::size_t k = 0; k < ids.size(); ++k) WriteVertexLine(ids[k], T_world_body[k], file.Stream());
   LineStream lines(path);
+  lines.File().ExpectUnchanged(share.file);
+  AtomicFile file(output);
+  for (std::size_t k = 0; k < share.ids.size(); ++k) WriteVertexLine(share.ids[k], T_world_body[k], file.Stream());
   for (TextLine line; lines.Next(line);) {
     const TagLayout* layout = FindLayout(FirstField(line.text));
     if (layout == nullptr || layout->kind != TagKind::kVertex) file.Stream() << line.text << '\n';
@@ -193,10 +195,10 @@ void CopyG2o(const std::string& path, const std::vector<PoseId>& ids, const std:
   file.Commit();
 }
 
-#define TERSE_INSTANTIATE(Pose)                                                                         \
-  template GraphShare<Pose> ReadShare<Pose>(const std::string&, int, int, const ReadOptions&);          \
-  template std::vector<std::pair<int, int>> NeighboursOf<Pose>(const GraphShare<Pose>&);                \
-  template void CopyG2o<Pose>(const std::string&, const std::vector<PoseId>&, const std::vector<Pose>&, \
+#define TERSE_INSTANTIATE(Pose)                                                                      \
+  template GraphShare<Pose> ReadShare<Pose>(const std::string&, int, int, const ReadOptions&);       \
+  template std::vector<std::pair<int, int>> NeighboursOf<Pose>(const GraphShare<Pose>&);             \
+  template void CopyG2o<Pose>(const std::string&, const GraphShare<Pose>&, const std::vector<Pose>&, \
                               const std::string&);
 TERSE_INSTANTIATE(SE2)
 TERSE_INSTANTIATE(SE3)

@@ -33,11 +33,8 @@ constexpr TagLayout kLayouts[] = {
     {"PARAMS_SE3OFFSET", TagFamily::kG2o, 0, TagKind::kOffset, 8},  // id, pose
 };
 
-// The text is read in pieces, but what it says takes memory: more than a quarter of its size.
-void ExpectRoom(const InputFile& file) {
-  const std::uint64_t usable = UsableMemory(), most = usable > UINT64_MAX / 4 ? UINT64_MAX : 4 * usable;
-  if (file.IsStored() && file.Bytes() > most) throw TooLarge(file.Path(), most);
-}
+// Of tags that are not known: text has no end of words.
+constexpr std::size_t kMostSkippedTags = 1000;
 
 // A known tag, and where in the file it comes first.
 struct TagUse {
@@ -98,11 +95,18 @@ Classified Classify(GraphLines& lines) {
   lines.ForEach([&](const GraphLine& line) {
     if (!not_a_graph) not_a_graph = NotAGraph(lines.Path(), line.line);
     if (line.layout != nullptr) return CountTag(line, &out.tags);
+    if (odd_tag) return;
     const std::string_view tag = FirstField(line.line.text);
-    if (!IsTag(tag) && !odd_tag) {
+    if (!IsTag(tag)) {
       odd_tag = FileError(lines.Path(), line.line.number, "expected a tag, the line starts with " + Quoted(tag));
+      return;
     }
     ++out.skipped_tags[std::string(tag)];
+    if (out.skipped_tags.size() > kMostSkippedTags) {
+      odd_tag = FileError(lines.Path(), line.line.number,
+                          "lines of more than " + std::to_string(kMostSkippedTags) +
+                              " kinds that are not known, the last " + Quoted(tag) + "; expected a graph");
+    }
     AddOtherVertex(lines.Path(), line.line, &out.other_vertices);
   });
   if (!not_a_graph) throw NoLines(lines.Stream());
@@ -190,7 +194,8 @@ std::string DescribeSkippedTags(const GraphFile& file) {
 GraphFile ReadGraph(const std::string& path, const ReadOptions& options) {
   if (LooksPacked(path)) return ReadPacked(path, options);
   GraphLines lines(path);
-  ExpectRoom(lines.Stream().File());
+  const InputFile& file = lines.Stream().File();
+  if (file.IsStored() && file.Version().bytes > MostGraphBytes()) throw TooLarge(path, MostGraphBytes());
   Classified classified = Classify(lines);
   const bool is_planar = Dimension(path, classified.tags) == 2;
   GraphFile out = is_planar ? Read<SE2>(lines, classified, options) : Read<SE3>(lines, classified, options);

@@ -133,8 +133,8 @@ void GraphBuilder<Pose>::AddNamedPoses() {
   for (const PoseId id : named_) {
     if (!graph_.HasPose(id)) graph_.AddPose(id);
   }
-  named_ = {};
-  is_named_ = {};
+  std::vector<PoseId>().swap(named_);
+  std::unordered_set<std::int64_t>().swap(is_named_);
 }
 
 template <class Pose>

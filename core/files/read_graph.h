@@ -1,6 +1,8 @@
 #pragma once
 // What the readers of graph files share: tags, fields of a line as poses and matrices, the graph under construction.
 
+#include <algorithm>
+#include <initializer_list>
 #include <map>
 #include <string>
 #include <unordered_set>
@@ -54,12 +56,13 @@ class GraphLines {
       use(static_cast<const GraphLine&>(line));
     }
   }
-  // Those with tags of this kind alone, split into fields: use(const Fields&, const TagLayout&).
+  // Those with tags of these kinds alone, split into fields: use(const Fields&, const TagLayout&).
   template <class Use>
-  void ForEach(TagKind kind, Use use) {
+  void ForEach(std::initializer_list<TagKind> kinds, Use use) {
     Fields fields(Path());
     ForEach([&](const GraphLine& line) {
-      if (line.layout == nullptr || line.layout->kind != kind) return;
+      if (line.layout == nullptr) return;
+      if (std::find(kinds.begin(), kinds.end(), line.layout->kind) == kinds.end()) return;
       fields.Split(line.line);
       use(static_cast<const Fields&>(fields), *line.layout);
     });

@@ -27,10 +27,10 @@ typename Pose::Jacobian SquareRoot(const Fields& fields) {
 template <class Pose>
 GraphFile ReadIsam(GraphLines& lines, const ReadOptions& options) {
   GraphBuilder<Pose> builder(options);
-  lines.ForEach(TagKind::kEdge,
+  lines.ForEach({TagKind::kEdge},
                 [&](const Fields& fields, const TagLayout& layout) { builder.NameEnds(fields, layout); });
   builder.AddNamedPoses();
-  lines.ForEach(TagKind::kEdge, [&](const Fields& fields, const TagLayout& layout) {
+  lines.ForEach({TagKind::kEdge}, [&](const Fields& fields, const TagLayout& layout) {
     if (HasInformation<Pose>(fields)) ExpectFields(fields, layout);
     const PoseId from = IdField(fields, 1, "from"), to = IdField(fields, 2, "to");
     const Pose T_from_to = EulerPoseFields<Pose>(fields, 3);
@@ -46,7 +46,7 @@ template <class Pose>
 bool LooksLikeIsam(GraphLines& lines) {
   long isam_misfits = 0, toro_misfits = 0;
   bool lacks_information = false;  // which only iSAM's may
-  lines.ForEach(TagKind::kEdge, [&](const Fields& fields, const TagLayout& layout) {
+  lines.ForEach({TagKind::kEdge}, [&](const Fields& fields, const TagLayout& layout) {
     lacks_information = lacks_information || !HasInformation<Pose>(fields);
     if (lacks_information) return;
     ExpectFields(fields, layout);

@@ -23,14 +23,13 @@ Matrix<6, 6> ToroInformation<SE3>(const Fields& fields) {
 template <class Pose>
 GraphFile ReadToro(GraphLines& lines, const ReadOptions& options) {
   GraphBuilder<Pose> builder(options);
-  lines.ForEach(TagKind::kVertex, [&](const Fields& fields, const TagLayout& layout) {
+  lines.ForEach({TagKind::kVertex, TagKind::kEdge}, [&](const Fields& fields, const TagLayout& layout) {
+    if (layout.kind == TagKind::kEdge) return builder.NameEnds(fields, layout);
     ExpectFields(fields, layout);
     builder.AddVertex(fields, EulerPoseFields<Pose>(fields, 2));
   });
-  lines.ForEach(TagKind::kEdge,
-                [&](const Fields& fields, const TagLayout& layout) { builder.NameEnds(fields, layout); });
   builder.AddNamedPoses();
-  lines.ForEach(TagKind::kEdge, [&](const Fields& fields, const TagLayout& layout) {
+  lines.ForEach({TagKind::kEdge}, [&](const Fields& fields, const TagLayout& layout) {
     ExpectFields(fields, layout);
     const PoseId from = IdField(fields, 1, "from"), to = IdField(fields, 2, "to");
     const Pose T_from_to = EulerPoseFields<Pose>(fields, 3);

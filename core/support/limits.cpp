@@ -71,6 +71,11 @@ std::uint64_t FreeMemory() {
   return least;
 }
 
+std::uint64_t MostGraphBytes() {
+  const std::uint64_t usable = UsableMemory();
+  return usable > UINT64_MAX / 2 ? UINT64_MAX : 2 * usable;
+}
+
 std::uint64_t MostFileBytes(std::uint64_t limit, std::uint64_t share_of_memory) {
   constexpr std::uint64_t kMebibyte = std::uint64_t{1} << 20;
   return std::min(limit, std::max(UsableMemory() / share_of_memory / kMebibyte, std::uint64_t{1}) * kMebibyte);

@@ -38,7 +38,7 @@ bool LineStream::Next(TextLine& line) {
     if (end == std::string::npos && next_ == buffer_.size()) return false;
     const std::string_view raw = std::string_view(buffer_).substr(next_, std::min(end, buffer_.size()) - next_);
     next_ += raw.size() + (end == std::string::npos ? 0 : 1);
-    if (ReadLine(raw, ++number_, file_.Path(), &line)) return true;
+    if (StripLine(raw, ++number_, file_.Path(), &line)) return true;
   }
 }
 
@@ -60,6 +60,7 @@ FileFingerprint FingerprintOf(const std::string& path) {
     out.bytes += count;
     out.crc32 = Crc32({piece.data(), count}, out.crc32);
   }
+  file.ExpectUnchanged();
   return out;
 }
 

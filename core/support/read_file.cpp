@@ -21,8 +21,9 @@ struct stat StatusOf(int descriptor, const std::string& path) {
   return status;
 }
 
-std::int64_t LastChange(const struct stat& status) {
-  return std::int64_t{status.st_mtim.tv_sec} * 1000000000 + status.st_mtim.tv_nsec;
+FileVersion VersionOf(const struct stat& status) {
+  return {static_cast<std::uint64_t>(status.st_size),
+          std::int64_t{status.st_mtim.tv_sec} * 1000000000 + status.st_mtim.tv_nsec};
 }
 
 std::string Mebibytes(std::uint64_t bytes) {
@@ -42,8 +43,7 @@ InputFile::InputFile(const std::string& path) : InputFile(path, Open(path)) {
   const struct stat status = StatusOf(descriptor_, path);
   if (S_ISDIR(status.st_mode)) throw FileError(path, 0, "cannot read: it is a folder, expected a file");
   is_stored_ = S_ISREG(status.st_mode);
-  bytes_ = static_cast<std::uint64_t>(status.st_size);
-  changed_ns_ = LastChange(status);
+  version_ = VersionOf(status);
 }
 
 InputFile::~InputFile() { ::close(descriptor_); }
@@ -54,10 +54,8 @@ std::size_t InputFile::Read(char* bytes, std::size_t size) {
   return static_cast<std::size_t>(count);
 }
 
-void InputFile::ExpectUnchanged() const {
-  if (!is_stored_) return;
-  const struct stat status = StatusOf(descriptor_, path_);
-  if (static_cast<std::uint64_t>(status.st_size) == bytes_ && LastChange(status) == changed_ns_) return;
+void InputFile::ExpectUnchanged(const FileVersion& since) const {
+  if (!is_stored_ || VersionOf(StatusOf(descriptor_, path_)) == since) return;
   throw FileError(path_, 0, "the file was changed while it was read");
 }
 
@@ -80,8 +78,8 @@ std::string ReadAll(const std::string& path, const ReadLimits& limits) {
   InputFile file(path);
   std::string content;
   if (file.IsStored()) {
-    if (file.Bytes() > limits.most_bytes) throw TooLarge(path, limits.most_bytes);
-    content.reserve(file.Bytes() + 1);  // it is on the disk; a sparse file costs no memory until it is read
+    if (file.Version().bytes > limits.most_bytes) throw TooLarge(path, limits.most_bytes);
+    content.reserve(file.Version().bytes + 1);  // it is on the disk; a sparse file costs no memory until it is read
   }
   std::array<char, 1 << 16> chunk;
   bool is_checked = !limits.check_start;

@@ -54,7 +54,7 @@ void ExpectLineSize(std::size_t bytes, long number, const std::string& path) {
   throw FileError(path, number, "the line is too long, expected at most " + std::to_string(kMostLineBytes) + " bytes");
 }
 
-bool ReadLine(std::string_view raw, long number, const std::string& path, TextLine* line) {
+bool StripLine(std::string_view raw, long number, const std::string& path, TextLine* line) {
   ExpectLineSize(raw.size(), number, path);
   if (number == 1 && raw.substr(0, 3) == "\xEF\xBB\xBF") raw.remove_prefix(3);  // an editor's byte order mark
   while (!raw.empty() && IsBlank(raw.front())) raw.remove_prefix(1);
@@ -70,7 +70,7 @@ std::vector<TextLine> TextFile::Lines() const {
   TextLine line;
   for (long number = 1; !rest.empty(); ++number) {
     const std::size_t end = rest.find('\n');
-    if (ReadLine(rest.substr(0, end), number, path_, &line)) lines.push_back(line);
+    if (StripLine(rest.substr(0, end), number, path_, &line)) lines.push_back(line);
     rest.remove_prefix(end == std::string_view::npos ? rest.size() : end + 1);
   }
   return lines;

@@ -160,7 +160,7 @@ class DistributedSolve {
   }
 
   void WriteResults(const DistributedResult<Pose>& result) const {
-    if (!options_.output.empty()) CopyG2o(options_.path, share_.ids, result.T_world_body, options_.output);
+    if (!options_.output.empty()) CopyG2o(options_.path, share_, result.T_world_body, options_.output);
     if (!options_.trajectory.empty()) {
       WriteTrajectory(MakeTrajectory(share_.ids, result.T_world_body), options_.trajectory);
     }

@@ -9,7 +9,7 @@ namespace terse {
 
 // A line of a text file or of a stream, in bytes without its end.
 inline constexpr std::size_t kMostLineBytes = std::size_t{16} << 20;
-// A text file, a saved state or a journal. Less where the machine is small: see MostFileBytes().
+// A text file but that of a graph, a saved state or a journal. Less where the machine is small: see MostFileBytes().
 inline constexpr std::uint64_t kMostFileBytes = std::uint64_t{4} << 30;
 // A JSON file, which takes about 30 times its size in memory at worst.
 inline constexpr std::uint64_t kMostJsonBytes = std::uint64_t{1} << 30;
@@ -25,6 +25,8 @@ inline constexpr std::uint64_t kMostDecodedBytes = std::uint64_t{1} << 27;
 std::uint64_t UsableMemory();
 // What of it is not in use now, but for the system's copies of files.
 std::uint64_t FreeMemory();
+// The text of a graph, which is read in pieces: twice the usable memory, as the graph takes more than half of its text.
+std::uint64_t MostGraphBytes();
 // `limit`, or a share of the usable memory if that is less.
 std::uint64_t MostFileBytes(std::uint64_t limit, std::uint64_t share_of_memory);
 

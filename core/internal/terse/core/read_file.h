@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "terse/core/error.h"
+#include "terse/core/file_version.h"
 #include "terse/core/limits.h"
 
 namespace terse {
@@ -23,11 +24,12 @@ class InputFile {
   // On a disk: it has a size and can be read again. A pipe or a device has neither.
   bool IsStored() const { return is_stored_; }
   // When it was opened; of stored files only.
-  std::uint64_t Bytes() const { return bytes_; }
+  const FileVersion& Version() const { return version_; }
   // Up to `size` bytes; how many, 0 at the end.
   std::size_t Read(char* bytes, std::size_t size);
-  // Throws FileError if a stored file is not what it was when it was opened.
-  void ExpectUnchanged() const;
+  // Throws FileError if a stored file is not what it was when it was opened, or then.
+  void ExpectUnchanged() const { ExpectUnchanged(version_); }
+  void ExpectUnchanged(const FileVersion& since) const;
   // Reads from the start again; stored files only.
   void Rewind();
 
@@ -37,8 +39,7 @@ class InputFile {
   std::string path_;
   int descriptor_;
   bool is_stored_ = false;
-  std::uint64_t bytes_ = 0;
-  std::int64_t changed_ns_ = 0;
+  FileVersion version_;
 };
 
 struct ReadLimits {

@@ -20,7 +20,7 @@ struct TextLine {
 // Throws FileError if so many bytes are beyond kMostLineBytes.
 void ExpectLineSize(std::size_t bytes, long number, const std::string& path);
 // The line without blanks around it; false if it is blank or a comment (# or // first). Throws as ExpectLineSize does.
-bool ReadLine(std::string_view raw, long number, const std::string& path, TextLine* line);
+bool StripLine(std::string_view raw, long number, const std::string& path, TextLine* line);
 
 // A file read whole. Throws FileError if it is missing, a folder, unreadable, empty, too large, binary (holds NUL
 // bytes) or has a line beyond kMostLineBytes.

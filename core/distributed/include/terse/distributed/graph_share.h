@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "terse/core/file_version.h"
 #include "terse/core/graph_file.h"
 
 namespace terse {
@@ -33,6 +34,7 @@ struct GraphShare {
   long edges = 0;                                 // of the whole graph
   long scalars = 0;                               // that its measurements measure
   std::map<std::string, long> skipped_tags;
+  FileVersion file;  // that it was read from
 
   bool Owns(int pose) const { return begin <= pose && pose < end; }
 };
@@ -49,10 +51,10 @@ GraphShare<Pose> ReadShare(const std::string& path, int rank, int ranks, const R
 template <class Pose>
 std::vector<std::pair<int, int>> NeighboursOf(const GraphShare<Pose>& share);
 
-// A copy of the g2o file with these values of the poses, in the order of GraphShare::ids: vertex lines first, the
-// others as they are. Throws FileError.
+// A copy of the g2o file that the share was read from, with these values of the poses, by index: vertex lines first,
+// the others as they are. Throws FileError, also if the file is another one by now.
 template <class Pose>
-void CopyG2o(const std::string& path, const std::vector<PoseId>& ids, const std::vector<Pose>& T_world_body,
+void CopyG2o(const std::string& path, const GraphShare<Pose>& share, const std::vector<Pose>& T_world_body,
              const std::string& output);
 
 }  // namespace terse
