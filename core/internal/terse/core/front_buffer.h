@@ -16,6 +16,7 @@ void* AllocateBuffer(std::size_t bytes);
 void FreeBuffer(void* buffer) noexcept;
 
 // Elements that are given no value hold anything; with TERSE_POISON_BUFFERS, as under sanitizers, not a number.
+// NOLINTBEGIN(readability-identifier-naming): the names of the standard's allocators
 template <class T>
 struct BufferAllocator {
   static_assert(std::is_floating_point_v<T> && alignof(T) <= alignof(std::max_align_t));
@@ -43,6 +44,7 @@ struct BufferAllocator {
   friend bool operator==(const BufferAllocator&, const BufferAllocator&) { return true; }
   friend bool operator!=(const BufferAllocator&, const BufferAllocator&) { return false; }
 };
+// NOLINTEND(readability-identifier-naming)
 
 // Not set to zero: no result depends on what was not written. (Kernels load it beside what they need, and drop it.)
 using FrontBuffer = std::vector<double, BufferAllocator<double>>;
