@@ -1,6 +1,10 @@
 // The command on files that are damaged, endless, or made to break it: a clear error, and nothing written.
 
 #include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cstdint>
+#include <filesystem>
 
 #include "slow_build.h"
 #include "testing_command.h"
@@ -98,7 +102,11 @@ TEST_F(DamagedFiles, EndlessInput) {
 }
 
 TEST_F(DamagedFiles, InputLargerThanMemory) {
-  if (std::system(("truncate -s 8T '" + Path("large.g2o") + "' 2>/dev/null").c_str()) != 0) GTEST_SKIP();
+  // As much as is refused on this machine, and no more: any file system takes it.
+  const auto memory =
+      static_cast<std::uintmax_t>(::sysconf(_SC_PHYS_PAGES)) * static_cast<std::uintmax_t>(::sysconf(_SC_PAGESIZE));
+  Write("large.g2o", "");
+  std::filesystem::resize_file(Path("large.g2o"), 2 * memory + 1);
   ExpectFailure("info large.g2o", 1, "large.g2o: the file is too large or has no end, expected at most ");
   if (kSlowBuild) GTEST_SKIP() << "sanitizers reserve more than is allowed here";
   const Outcome outcome =
