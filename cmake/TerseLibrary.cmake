@@ -1,7 +1,6 @@
 include(GNUInstallDirs)
 
-# An installed library finds its neighbours, and the command finds the libraries, wherever the tree is moved to.
-file(RELATIVE_PATH terse_libdir_from_bindir ${CMAKE_INSTALL_FULL_BINDIR} ${CMAKE_INSTALL_FULL_LIBDIR})
+# An installed library finds its neighbours, and a program finds the libraries, wherever the tree is moved to.
 
 # terse_library(NAME SOURCES ... LINKS ... PRIVATE_LINKS ... [EXPORT SET]): one shared library per folder.
 #
@@ -38,14 +37,20 @@ function(terse_library name)
   install(DIRECTORY include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 endfunction()
 
-# terse_program(NAME SOURCES ... LINKS ...): a program that is installed. One that is not needs no function.
+# terse_program(NAME SOURCES ... LINKS ... [FOLDER F]): a program that is installed, below the prefix to F, by default to
+# bin. One that is not needs no function.
 function(terse_program name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;LINKS" ${ARGN})
+  cmake_parse_arguments(ARG "" "FOLDER" "SOURCES;LINKS" ${ARGN})
+  if(NOT ARG_FOLDER)
+    set(ARG_FOLDER ${CMAKE_INSTALL_BINDIR})
+  endif()
+  GNUInstallDirs_get_absolute_install_dir(folder ARG_FOLDER BINDIR)
+  file(RELATIVE_PATH libraries ${folder} ${CMAKE_INSTALL_FULL_LIBDIR})
   add_executable(${name} ${ARG_SOURCES})
   target_link_libraries(${name} PRIVATE ${ARG_LINKS})
-  set_target_properties(${name} PROPERTIES INSTALL_RPATH "$ORIGIN/${terse_libdir_from_bindir}")
+  set_target_properties(${name} PROPERTIES INSTALL_RPATH "$ORIGIN/${libraries}")
   terse_warnings(${name})
-  install(TARGETS ${name} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+  install(TARGETS ${name} RUNTIME DESTINATION ${ARG_FOLDER})
 endfunction()
 
 function(terse_warnings name)

@@ -1,12 +1,12 @@
 #include "terse/compact/error_growth.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
 #include "terse/compact/aligned_error.h"
 #include "terse/compact/state_members.h"
 #include "terse/core/at.h"
+#include "terse/core/definite.h"
 #include "terse/core/gauge.h"
 
 namespace terse {
@@ -40,9 +40,9 @@ template <class Pose>
 void ErrorGrowth<Pose>::Add(PoseId a, PoseId b, const UncertainPose<Pose>& T_a_b, double weight) {
   if (a == b || !(weight > 0)) return;
   const Jacobian covariance = b < a ? Invert(T_a_b).covariance : T_a_b.covariance;
-  const Eigen::LLT<Jacobian> llt(covariance);
-  const Jacobian information = weight * Jacobian(llt.solve(Jacobian::Identity()));
-  if (llt.info() != Eigen::Success || !information.allFinite()) return;
+  if (!IsDefinite<Pose::kDof>(covariance)) return;
+  const Jacobian information = weight * InverseOfDefinite<Pose::kDof>(covariance);
+  if (!information.allFinite()) return;
   Jacobian& sum = information_.try_emplace(std::minmax(a, b), Jacobian::Zero()).first->second;
   sum += (information + information.transpose()) / 2;
   evidence_ += weight;
@@ -124,8 +124,7 @@ void ErrorGrowth<Pose>::Serialize(Archive& archive) {
   archive(information, evidence, looked_at, left_out, tried, measured);
   if constexpr (Archive::kReads) {
     for (const auto& [ends, matrix] : information) {
-      const Eigen::LLT<Jacobian> llt(matrix);
-      if (!(ends.first < ends.second) || !matrix.allFinite() || llt.info() != Eigen::Success)
+      if (!(ends.first < ends.second) || !matrix.allFinite() || !IsDefinite<Pose::kDof>(matrix))
         archive.Fail("information of a loop that is none");
     }
     const bool counts = evidence >= 0 && looked_at >= 0 && left_out >= 0 && tried > 0 && measured > 0 &&

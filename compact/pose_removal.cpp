@@ -1,7 +1,6 @@
 #include "terse/compact/pose_removal.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -93,7 +92,7 @@ RelativePoseFactor<Pose> FactorOf(const Pose& E, const typename Pose::Tangent& m
                                   const typename Pose::Jacobian& information) {
   using Jacobian = typename Pose::Jacobian;
   const typename Pose::Tangent r = -(Pose::LocalJacobian(-mean) * mean);
-  const Jacobian J_inverse = Pose::LocalJacobian(r).inverse();
+  const Jacobian J_inverse = InverseOf<Pose::kDof>(Pose::LocalJacobian(r));
   const Jacobian of_residual = J_inverse.transpose() * information * J_inverse;
   RelativePoseFactor<Pose> factor;
   factor.T_from_to = E * Pose().Retract(r).Inverse();
@@ -170,7 +169,7 @@ std::optional<Tree<Pose>> RecoverTree(const std::vector<Arm<Pose>>& arms, std::o
   MatrixXd L = MatrixXd::Zero(B * n, B * n);
   for (int e = 0; e < n; ++e) {
     mean.segment<B>(B * e) = star.Mean(edges[At(e)]);
-    L.block<B, B>(B * e, B * e) = Jacobian(Sigma.block<B, B>(B * e, B * e)).llt().matrixL();
+    L.block<B, B>(B * e, B * e) = LowerCholesky<B>(Sigma.block<B, B>(B * e, B * e));
   }
   if (n > 1) {
     const auto lower = L.triangularView<Eigen::Lower>();

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "terse/core/decompositions.h"
 #include "terse/covariance/covariance_blocks.h"
 
 namespace terse {
@@ -111,9 +112,9 @@ void KeptCovariances<B>::Propagate(const Plan& plan) {
     const int n = static_cast<int>(diagonals_.size()), j = std::min(f.first, f.second);
     const Matrix<B, B>& A_n = f.first == n ? f.A_first : f.A_second;
     const Matrix<B, B>& A_j = f.first == n ? f.A_second : f.A_first;
-    const Matrix<B, B> inverse = A_n.inverse(), F = -inverse * A_j;
+    const Matrix<B, B> inverse = InverseOf<B>(A_n), F = -inverse * A_j;
     const Matrix<B, B> Sigma = F * diagonals_[At(j)] * F.transpose() + inverse * inverse.transpose();
-    drift_.push_back(drift_[At(j)] + static_cast<float>(kRounding / A_n.partialPivLu().rcond()));
+    drift_.push_back(drift_[At(j)] + static_cast<float>(kRounding / ReciprocalCondition<B>(A_n)));
     appended_ = std::min(appended_, kMostAppended) + 1;
     if (!plan.solve_column) {
       // Sigma_.n = Sigma_.j F'.
@@ -148,9 +149,8 @@ MatrixX KeptCovariances<B>::CoreOf(const Plan& plan, const MatrixX& CY) const {
   for (size_t a = 0; a < changes.size(); ++a) {
     core.diagonal().segment<B>(static_cast<Eigen::Index>(a) * B).array() += changes[a].sign;
   }
-  const Eigen::PartialPivLU<MatrixX> lu(core);
-  if (!(lu.rcond() > 1e-12)) return MatrixX();
-  return lu.inverse();
+  if (!(ReciprocalCondition<Eigen::Dynamic>(core) > 1e-12)) return MatrixX();
+  return InverseOf<Eigen::Dynamic>(core);
 }
 
 // False if the numbers do not allow it: then the kept blocks are spoilt.

@@ -1,8 +1,8 @@
 #include "terse/covariance/pose_marginals.h"
 
-#include <Eigen/LU>
 #include <stdexcept>
 
+#include "terse/core/decompositions.h"
 #include "terse/covariance/covariance_blocks.h"
 
 namespace terse {
@@ -106,8 +106,7 @@ typename Pose::Jacobian PoseMarginals<Pose>::Combination(const std::vector<Term>
 template <class Pose>
 typename Pose::Jacobian MoveCovariance(const typename Pose::Jacobian& covariance, const Pose& T_from,
                                        const Pose& T_to) {
-  const Eigen::Matrix<double, Pose::kDof, Pose::kDof> inverse = Pose::LocalJacobian(T_from.Local(T_to));
-  const typename Pose::Jacobian J = inverse.inverse();
+  const typename Pose::Jacobian J = InverseOf<Pose::kDof>(Pose::LocalJacobian(T_from.Local(T_to)));
   const typename Pose::Jacobian out = J * covariance * J.transpose();
   return (out + out.transpose()) / 2;
 }

@@ -1,12 +1,12 @@
 #include "terse/covariance/scale_evidence.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
 #include "terse/core/at.h"
+#include "terse/core/definite.h"
 #include "terse/core/residual.h"
 #include "terse/covariance/short_cycles.h"
 
@@ -18,8 +18,8 @@ const double kLogTwoPi = std::log(2 * 3.14159265358979323846);
 constexpr double kLeastRange = 1, kLeastTurn = 0.1;
 
 template <class Pose>
-double HalfLogDeterminant(const Eigen::LLT<typename Pose::Jacobian>& llt) {
-  return llt.matrixLLT().diagonal().array().log().sum();
+double HalfLogDeterminant(const typename Pose::Jacobian& M) {
+  return LowerCholesky<Pose::kDof>(M).diagonal().array().log().sum();
 }
 
 // Logarithm of the volume that holds what the loops say, as if it were evenly spread.
@@ -46,7 +46,6 @@ double LogRange(const std::vector<ForwardEdge<Pose>>& loops) {
 template <class Pose>
 double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector<char>& is_loop,
                     const BatchResult<Pose>& solved) {
-  using Jacobian = typename Pose::Jacobian;
   const std::size_t poses = solved.T_world_body.size();
   std::vector<char> is_wrong(terms.size());
   double cost = solved.log_determinant / 2, normals = -static_cast<double>(poses);
@@ -55,7 +54,7 @@ double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector
     is_wrong[k] = solved.weights[k] < 0.5;
     if (is_wrong[k]) continue;
     cost += FactorChi2(Factor<Pose>(t.factor), solved.T_world_body[At(t.first)], solved.T_world_body[At(t.second)]) / 2;
-    cost -= HalfLogDeterminant<Pose>(Eigen::LLT<Jacobian>(t.factor.information));
+    cost -= HalfLogDeterminant<Pose>(t.factor.information);
     ++normals;
   }
   const double log_range = LogRange(ForwardEdges(terms, is_loop));
@@ -65,9 +64,8 @@ double CostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::vector
       cost += log_range;
       continue;
     }
-    const Eigen::LLT<Jacobian> llt(cycle->covariance);
-    const double of_group =
-        cycle->error.dot(llt.solve(cycle->error)) / 2 + HalfLogDeterminant<Pose>(llt) + Pose::kDof * kLogTwoPi / 2;
+    const double of_group = MahalanobisSquared<Pose::kDof>(cycle->covariance, cycle->error) / 2 +
+                            HalfLogDeterminant<Pose>(cycle->covariance) + Pose::kDof * kLogTwoPi / 2;
     cost += std::min(log_range, of_group);
   }
   return cost + normals * Pose::kDof * kLogTwoPi / 2;
@@ -85,8 +83,7 @@ double LeastCostOfScales(const std::vector<ProbeTerm<Pose>>& terms, const std::v
       ++steps_to[later];
       continue;
     }
-    const Eigen::LLT<typename Pose::Jacobian> llt(terms[k].factor.information);
-    cost += std::min(log_range, Pose::kDof * kLogTwoPi / 2 - HalfLogDeterminant<Pose>(llt));
+    cost += std::min(log_range, Pose::kDof * kLogTwoPi / 2 - HalfLogDeterminant<Pose>(terms[k].factor.information));
   }
   const bool is_chain = std::all_of(steps_to.begin() + 1, steps_to.end(), [](int steps) { return steps == 1; });
   return is_chain ? cost : -std::numeric_limits<double>::infinity();

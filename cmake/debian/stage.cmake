@@ -19,7 +19,7 @@ if(distributed)
 endif()
 
 # The loader looks into /usr/lib anyway.
-file(GLOB binaries ${root}/bin/* ${root}/lib/*.so* ${root}/lib/python3/dist-packages/terse/*.so)
+file(GLOB binaries ${root}/bin/* ${root}/libexec/terse/* ${root}/lib/*.so* ${root}/lib/python3/dist-packages/terse/*.so)
 foreach(file ${binaries})
   if(NOT IS_SYMLINK ${file})
     file(RPATH_REMOVE FILE ${file})

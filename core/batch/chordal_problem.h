@@ -178,6 +178,14 @@ PositionPairs<Pose::kDim> PairPositions(const Measurements& measurements, const 
   return out;
 }
 
+// The rotation by the least angle that takes one unit vector to another; half a turn about any axis across them where
+// they are opposite.
+inline Block<3> LeastTurn(const Point<3>& from, const Point<3>& to) {
+  const Point<3> axis = from.cross(to);
+  const double sine = axis.norm(), angle = std::atan2(sine, from.dot(to));
+  return SO3::Exp(sine > 1e-12 ? Point<3>(angle / sine * axis) : Point<3>(angle * from.unitOrthogonal())).Rotation();
+}
+
 // The motion that lays the values over the position priors; where several do so equally well (one position, or all on a
 // straight line in 3D) the one that turns least.
 template <class Pose, class Measurements>
@@ -190,7 +198,7 @@ Pose ClosestToPositionPriors(const Measurements& measurements, const std::vector
   } else if constexpr (D == 3) {
     if (pairs.svd.values[0] > 1e-9 * pairs.Spread()) {
       const Point<3> along_old = pairs.svd.V.col(0), along_new = pairs.svd.U.col(0);
-      R = Eigen::Quaterniond::FromTwoVectors(along_old, along_new).toRotationMatrix();
+      R = LeastTurn(along_old, along_new);
     }
   }
   return pairs.template MotionWith<Pose>(R);

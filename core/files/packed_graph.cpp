@@ -1,6 +1,5 @@
 #include "files/packed_graph.h"
 
-#include <Eigen/Cholesky>
 #include <cmath>
 #include <cstring>
 #include <filesystem>
@@ -122,7 +121,7 @@ Matrix<N, N> InformationOf(const Matrix<N, N>& W) {
 // The matrix as it will be read. Where the diagonal of a row is rounded the whole row goes with it.
 template <int N>
 Matrix<N, N> PackInformation(const Matrix<N, N>& information, Column& scales, Column& couplings) {
-  const Matrix<N, N> W = information.llt().matrixU();
+  const Matrix<N, N> W = LowerCholesky<N>(information).transpose();
   const auto scale = [&](int i) { return scales.emplace_back(ToSteps(std::log2(W(i, i)), kRootStep)); };
   const auto coupling = [&](int i, int j, double unit, double diagonal) {
     return couplings.emplace_back(ToSteps(W(i, j) / W(i, i) * diagonal, unit));

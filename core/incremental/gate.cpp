@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "terse/core/at.h"
+#include "terse/core/definite.h"
 #include "terse/core/state_file.h"
 
 namespace terse::internal {
@@ -20,8 +21,7 @@ double ConditionalLogDeterminant(const std::vector<LinearFactor<B>>& factors, in
       if (f.first == first_new) H += f.A_first.transpose() * f.A_first;
       if (f.second == first_new) H += f.A_second.transpose() * f.A_second;
     }
-    const Eigen::LLT<Matrix<B, B>> llt(H);
-    return llt.info() == Eigen::Success ? 2 * llt.matrixLLT().diagonal().array().log().sum() : 0;
+    return IsDefinite<B>(H) ? 2 * LowerCholesky<B>(H).diagonal().array().log().sum() : 0;
   }
   typename BlockCholesky<B>::Changes changes;
   changes.new_variables = variables - first_new;

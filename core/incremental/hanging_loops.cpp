@@ -10,6 +10,7 @@
 
 #include "terse/core/at.h"
 #include "terse/core/chi_square.h"
+#include "terse/core/decompositions.h"
 #include "terse/core/front_paths.h"
 #include "terse/core/log_message.h"
 #include "terse/core/loop_groups.h"
@@ -98,7 +99,7 @@ WithoutGroup<Pose> LookWithout(const std::vector<size_t>& group, const std::vect
   const Eigen::MatrixXd covariance = by_others.solve(known);
   for (size_t k = 0; k < group.size(); ++k) {
     const auto row = static_cast<Eigen::Index>(k) * B;
-    const Matrix<B, B> to_tangent = roots[k].inverse();
+    const Matrix<B, B> to_tangent = InverseOf<B>(roots[k]);
     const Matrix<B, B> of_loop = to_tangent * covariance.block<B, B>(row, row) * to_tangent.transpose();
     out.turn = std::max(out.turn, std::sqrt(of_loop.diagonal().template tail<kTurns>().maxCoeff()));
   }

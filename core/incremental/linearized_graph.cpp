@@ -6,6 +6,7 @@
 
 #include "incremental/update_plan.h"
 #include "support/stopwatch.h"
+#include "terse/core/definite.h"
 #include "terse/core/front_paths.h"
 #include "terse/core/graph_members.h"
 #include "terse/core/residual.h"
@@ -286,9 +287,8 @@ void LinearizedGraph<Pose>::PlaceNewPoses(int new_poses, StepReport& report) {
       H += A.transpose() * A;
       b -= A.transpose() * r;
     }
-    const Eigen::LLT<Matrix<B, B>> llt(H);
-    if (llt.info() != Eigen::Success) continue;  // held by a later pose only: stays where it was composed
-    const Vector<B> d = llt.solve(b);
+    if (!IsDefinite<B>(H)) continue;  // held by a later pose only: stays where it was composed
+    const Vector<B> d = SolveDefinite<B>(H, b);
     const auto& slots = cholesky_.SlotsOf(v);
     for (const int slot : slots) cost_.at_offsets -= LinearResidual(slot).squaredNorm();
     cholesky_.SetSolution(v, d);

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "terse/core/decompositions.h"
+#include "terse/core/definite.h"
 #include "terse/core/robust.h"
 
 namespace terse::internal {
@@ -34,9 +35,7 @@ Contest<B> Contest<B>::Among(const std::vector<std::size_t>& some) const {
 
 template <int B>
 double Contest<B>::Innovation(std::size_t i) const {
-  const Eigen::LLT<Block> llt(Spread(i));
-  const auto n = n_.segment<B>(Row(i));
-  return llt.info() == Eigen::Success ? n.dot(llt.solve(n)) : std::numeric_limits<double>::infinity();
+  return MahalanobisSquared<B>(Spread(i), n_.segment<B>(Row(i)));
 }
 
 template <int B>

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "incremental/loop_judge.h"
+#include "terse/core/definite.h"
 #include "terse/core/log_message.h"
 
 namespace terse::internal {
@@ -159,11 +160,8 @@ bool LoopJudge<Pose>::ReviewOdometry(const std::vector<int>& slots, StepContext<
     Loop odometry(map.IdAt(entry.second), map);
     odometry.z = SolveForward(map.Cholesky().Tree(), odometry.linear);
     const Matrix<B, B> S = Matrix<B, B>::Identity() - Gram<B>(odometry.z, odometry.z);
-    const Eigen::LLT<Matrix<B, B>> llt(S);
-    if (llt.info() != Eigen::Success) continue;
-    const Vector<B> r = map.LinearResidual(entry.second);
-    const double innovation = r.dot(llt.solve(r));
-    if (innovation <= worst) continue;
+    const double innovation = MahalanobisSquared<B>(S, map.LinearResidual(entry.second));
+    if (innovation <= worst || !std::isfinite(innovation)) continue;
     if (PlacesAcross(std::min(odometry.linear.first, odometry.linear.second), LoopsIn(map), map) < kLeastPlaces) {
       continue;
     }

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "terse/core/at.h"
+#include "terse/core/definite.h"
 #include "terse/core/front_paths.h"
 #include "terse/core/residual.h"
 #include "terse/core/robust.h"
@@ -92,7 +93,7 @@ class Search {
   // Of a loop's measurement, tangent at its later pose.
   Covariance CovarianceOf(const Span<Pose>& span) const {
     const auto& edge = std::get<RelativePoseFactor<Pose>>(map_.Graph().FindFactor(span.id)->factor);
-    Covariance covariance = edge.information.inverse();
+    Covariance covariance = InverseOfDefinite<B>(edge.information);
     if (map_.Graph().IndexOf(edge.from) == span.first) return covariance;
     const Covariance turn = edge.T_from_to.Adjoint();
     return turn * covariance * turn.transpose();
@@ -118,8 +119,7 @@ class Search {
                                   by_end * CovarianceOf(a) * by_end.transpose() +
                                   by_start * CovarianceOf(a.first, b.first) * by_start.transpose();
     const Vector<B> error = b.T_first_last.Local(T_first_last);
-    const Eigen::LLT<Covariance> llt(covariance);
-    return llt.info() == Eigen::Success && error.dot(llt.solve(error)) <= k_;
+    return MahalanobisSquared<B>(covariance, error) <= k_;
   }
 
   // Loops that the correction explains, across a stretch that as many as possible have in common.

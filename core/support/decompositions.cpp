@@ -18,6 +18,16 @@ Eigen::Matrix<double, N, 1> SymmetricEigenvalues(const Eigen::Matrix<double, N, 
   return Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, N, N>>(M, Eigen::EigenvaluesOnly).eigenvalues();
 }
 
+template <int N>
+Eigen::Matrix<double, N, N> InverseOf(const Eigen::Matrix<double, N, N>& M) {
+  return M.inverse();
+}
+
+template <int N>
+double ReciprocalCondition(const Eigen::Matrix<double, N, N>& M) {
+  return M.partialPivLu().rcond();
+}
+
 template <int D>
 SingularValues<D>::SingularValues(const Square& M) {
   const Eigen::JacobiSVD<Square> svd(M, Eigen::ComputeFullU | Eigen::ComputeFullV);
@@ -47,6 +57,12 @@ template Eigen::Matrix<double, 2, 1> SymmetricEigenvalues<2>(const Eigen::Matrix
 template Eigen::Matrix<double, 3, 1> SymmetricEigenvalues<3>(const Eigen::Matrix<double, 3, 3>&);
 template Eigen::Matrix<double, 6, 1> SymmetricEigenvalues<6>(const Eigen::Matrix<double, 6, 6>&);
 template Eigen::VectorXd SymmetricEigenvalues<Eigen::Dynamic>(const Eigen::MatrixXd&);
+template Eigen::Matrix<double, 3, 3> InverseOf<3>(const Eigen::Matrix<double, 3, 3>&);
+template Eigen::Matrix<double, 6, 6> InverseOf<6>(const Eigen::Matrix<double, 6, 6>&);
+template Eigen::MatrixXd InverseOf<Eigen::Dynamic>(const Eigen::MatrixXd&);
+template double ReciprocalCondition<3>(const Eigen::Matrix<double, 3, 3>&);
+template double ReciprocalCondition<6>(const Eigen::Matrix<double, 6, 6>&);
+template double ReciprocalCondition<Eigen::Dynamic>(const Eigen::MatrixXd&);
 template struct SingularValues<2>;
 template struct SingularValues<3>;
 

@@ -11,6 +11,11 @@ bool IsDefinite(const Eigen::Matrix<double, N, N>& M) {
 }
 
 template <int N>
+Eigen::Matrix<double, N, N> LowerCholesky(const Eigen::Matrix<double, N, N>& M) {
+  return M.llt().matrixL();
+}
+
+template <int N>
 Eigen::Matrix<double, N, N> InverseOfDefinite(const Eigen::Matrix<double, N, N>& M) {
   return M.llt().solve(Eigen::Matrix<double, N, N>::Identity());
 }
@@ -29,6 +34,7 @@ double MahalanobisSquared(const Eigen::Matrix<double, N, N>& covariance, const E
 
 #define TERSE_INSTANTIATE(N)                                                                     \
   template bool IsDefinite<N>(const Eigen::Matrix<double, N, N>&);                               \
+  template Eigen::Matrix<double, N, N> LowerCholesky<N>(const Eigen::Matrix<double, N, N>&);     \
   template Eigen::Matrix<double, N, N> InverseOfDefinite<N>(const Eigen::Matrix<double, N, N>&); \
   template Eigen::Matrix<double, N, 1> SolveDefinite<N>(const Eigen::Matrix<double, N, N>&,      \
                                                         const Eigen::Matrix<double, N, 1>&);     \

@@ -13,6 +13,7 @@
 
 #include "commands/commands.h"
 #include "commands/reference.h"
+#include "commands/stereo_program.h"
 #include "run/standard_output.h"
 #include "terse/core/atomic_file.h"
 
@@ -113,6 +114,10 @@ void OpenMissingDescriptors() {
   }
 }
 
+int GoOnAsStereoProgram(char** argv) try { terse::RunStereoProgram(argv); } catch (const std::exception& error) {
+  return Fail(error.what(), 1);
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -122,6 +127,8 @@ int main(int argc, char** argv) {
   std::ios::sync_with_stdio(false);
   try {
     return Run(argc, argv);
+  } catch (const terse::StereoProgramAsked&) {
+    return GoOnAsStereoProgram(argv);
   } catch (const terse::NumericalError& error) {
     return Fail(error.what(), 3);
   } catch (const std::bad_alloc&) {

@@ -43,8 +43,12 @@ for name in $libraries; do
   contains "soname: [libterse_$name.so.$major_minor]" "$dynamic"
   [[ $dynamic != *RUNPATH* && $dynamic != *RPATH* ]] || fail "libterse_$name has a run path"
 done
-dynamic=$(LC_ALL=C readelf -d "$usr/bin/terse")
-[[ $dynamic != *RUNPATH* && $dynamic != *RPATH* ]] || fail "the command has a run path"
+programs=$usr/bin/terse
+[[ $has_frontend == no ]] || programs+=" $usr/libexec/terse/terse-stereo"
+for program in $programs; do
+  dynamic=$(LC_ALL=C readelf -d "$program")
+  [[ $dynamic != *RUNPATH* && $dynamic != *RPATH* ]] || fail "$program has a run path"
+done
 for file in include/terse/core/pose_graph.h include/terse/compact/compact_pose_slam.h lib/cmake/terse/terseConfig.cmake \
   lib/pkgconfig/terse.pc share/doc/terse/copyright share/doc/terse/changelog.gz share/man/man1/terse.1.gz \
   share/bash-completion/completions/terse; do
@@ -66,6 +70,7 @@ cd "$work"
 contains "terse $version" "$(terse --version)"
 terse generate ellipse --output ellipse.g2o
 contains '"poses": 170' "$(terse info ellipse.g2o --json)"
+[[ $has_frontend == no ]] || contains "--ground-truth" "$(terse kitti --help)"
 
 subcommands=$(terse --help | sed -n '/^Subcommands:/,/^$/s/^  \([a-z0-9-]\+\) .*/\1/p')
 contains compact "$subcommands"

@@ -39,6 +39,9 @@ if(name STREQUAL "install_plain")
 
   if(has_command)
     run(${prefix}/bin/terse --help)
+    if(EXISTS ${prefix}/lib/libterse_frontend.so)
+      run(${prefix}/bin/terse kitti --help)
+    endif()
   endif()
 endif()
 

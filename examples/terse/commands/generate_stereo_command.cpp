@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "commands/commands.h"
+#include "commands/stereo_program.h"
 #include "run/progress.h"
 #include "terse/frontend/street_sequence.h"
 
@@ -76,10 +77,7 @@ void AddStreetOptions(CLI::App& command, StreetOptions& street) {
 
 void AddGenerateStereo(CLI::App& generate) {
   auto options = std::make_shared<GenerateStereoOptions>();
-  CLI::App* command = generate.add_subcommand(
-      "stereo",
-      "Render laps round a block as a KITTI sequence: image_0, image_1, calib.txt, times.txt and poses.txt, the exact "
-      "ground truth of the left camera");
+  CLI::App* command = generate.add_subcommand("stereo", kGenerateStereoDescription);
   AddStreetOptions(*command, options->street);
   command->add_option("--output", options->output, "The folder; its image folders must be empty")
       ->required()

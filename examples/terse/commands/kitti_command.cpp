@@ -5,6 +5,7 @@
 #include "commands/budget_options.h"
 #include "commands/commands.h"
 #include "commands/output_paths.h"
+#include "commands/stereo_program.h"
 #include "commands/verbose.h"
 #include "pictures/run_report.h"
 #include "run/kitti_output.h"
@@ -126,7 +127,7 @@ void Kitti(const KittiCommandOptions& options) {
 
 void AddKittiCommand(CLI::App& app) {
   auto options = std::make_shared<KittiCommandOptions>();
-  CLI::App* command = app.add_subcommand("kitti", "A compact map from a stereo sequence in KITTI's layout");
+  CLI::App* command = app.add_subcommand("kitti", kKittiDescription);
   command
       ->add_option("DIR", options->path, "Folder with image_0, image_1 (or image_2, image_3), calib.txt and times.txt")
       ->required();

@@ -2,6 +2,8 @@
 
 #include <iostream>
 
+#include "commands/stereo_program.h"
+
 namespace terse {
 
 std::vector<const CLI::App*> Subcommands(const CLI::App& app) {
@@ -39,8 +41,9 @@ void AddReferenceOptions(CLI::App& app) {
   const auto add = [&app](const std::string& name, std::string (*write)(const CLI::App&)) {
     app.add_flag_callback(name,
                           [&app, write] {
-                            std::cout << write(app);  // main flushes it
-                            throw CLI::Success();     // before a subcommand is asked for
+                            if (HasStereoProgram()) throw StereoProgramAsked();  // knows all options
+                            std::cout << write(app);                             // main flushes it
+                            throw CLI::Success();                                // before a subcommand is asked for
                           })
         ->group("");
   };

@@ -17,6 +17,13 @@ SymmetricEigen<N> DecomposeSymmetric(const Eigen::Matrix<double, N, N>& M);
 template <int N>
 Eigen::Matrix<double, N, 1> SymmetricEigenvalues(const Eigen::Matrix<double, N, N>& M);
 
+// N: 3, 6 or Eigen::Dynamic. Of a matrix that has none it is not finite, or huge.
+template <int N>
+Eigen::Matrix<double, N, N> InverseOf(const Eigen::Matrix<double, N, N>& M);
+// An estimate of 1 / (|M| |M^-1|), in the norm of the largest column sum.
+template <int N>
+double ReciprocalCondition(const Eigen::Matrix<double, N, N>& M);
+
 // M = U diag(values) V^T, the values in descending order. D: 2 or 3.
 template <int D>
 struct SingularValues {

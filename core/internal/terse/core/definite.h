@@ -9,6 +9,9 @@ namespace terse {
 
 template <int N>
 bool IsDefinite(const Eigen::Matrix<double, N, N>& M);
+// L of M = L L^T, zeros above its diagonal.
+template <int N>
+Eigen::Matrix<double, N, N> LowerCholesky(const Eigen::Matrix<double, N, N>& M);
 template <int N>
 Eigen::Matrix<double, N, N> InverseOfDefinite(const Eigen::Matrix<double, N, N>& M);
 // M^-1 b.
