@@ -245,7 +245,8 @@ double KeptCovariances<B>::DriftOf(const Plan& plan) const {
   compare_block(first.first != last || first.second < 0 ? first.first : first.second);
   if (downdates_ % kSampled == 0) {
     // Steps of the golden ratio: spread evenly over the variables however their number grows.
-    const double turn = 0.6180339887498949 * static_cast<double>(downdates_ / kSampled);
+    const auto round = downdates_ / kSampled;
+    const double turn = 0.6180339887498949 * static_cast<double>(round);
     compare_block(std::min(last, static_cast<int>((turn - std::floor(turn)) * (last + 1))));
   }
   return drift;

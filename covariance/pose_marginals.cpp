@@ -99,6 +99,7 @@ typename Pose::Jacobian PoseMarginals<Pose>::Relative(PoseId a, PoseId b,
 template <class Pose>
 typename Pose::Jacobian PoseMarginals<Pose>::Combination(const std::vector<Term>& terms) const {
   std::vector<CovarianceTerm<B>> sum;
+  sum.reserve(terms.size());
   for (const Term& term : terms) sum.push_back({IndexOf(term.id), term.A});
   return CombinationCovariance<B>(CholeskyOfAll(), sum);
 }
