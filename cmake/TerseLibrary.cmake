@@ -1,8 +1,7 @@
 include(GNUInstallDirs)
 
-# An installed library finds its neighbours, and a program finds the libraries, wherever the tree is moved to.
-
-# terse_library(NAME SOURCES ... LINKS ... PRIVATE_LINKS ... [EXPORT SET]): one shared library per folder.
+# terse_library(NAME SOURCES ... LINKS ... PRIVATE_LINKS ... [EXPORT SET]): one shared library per folder. An installed one
+# finds its neighbours, and a program the libraries, wherever the tree is moved to.
 #
 # A missing arrow between folders is a link error (--no-undefined). Each library binds its own copies of the
 # inline Eigen functions (-Bsymbolic), so that a program compiled with other -march flags cannot replace them.

@@ -35,6 +35,23 @@ TEST_F(Command, HelpAndVersion) {
   EXPECT_EQ(Run("--version").out, "terse " TERSE_VERSION "\n");
 }
 
+// A copy of the command finds no terse-stereo beside it.
+TEST_F(Command, WithoutTheStereoProgramAllElseWorks) {
+  fs::copy_file(TERSE_COMMAND, Path("terse"));
+  Write("square.g2o", kSquare);
+  const auto run = [&](const std::string& arguments) {
+    return std::system(("cd '" + folder_.string() + "' && ./terse " + arguments + " > .out 2> .err").c_str());
+  };
+  EXPECT_EQ(run("info square.g2o"), 0) << Read(".err");
+  EXPECT_EQ(run("kitti --help"), 0) << Read(".err");
+  for (const char* arguments : {"kitti street --output map", "generate stereo --output street"}) {
+    const int status = run(arguments);
+    EXPECT_EQ(WIFEXITED(status) ? WEXITSTATUS(status) : -1, 1) << arguments;
+    EXPECT_EQ(Read(".err").rfind("terse: error: the stereo front end, ", 0), 0u) << Read(".err");
+    EXPECT_NE(Read(".err").find("/terse/terse-stereo: No such file or directory; "), std::string::npos) << Read(".err");
+  }
+}
+
 TEST_F(Command, UsageErrorsExitWith2) {
   ExpectFailure("", 2, "subcommand is required");
   ExpectFailure("inof x", 2, "unknown subcommand inof; did you mean info?");

@@ -181,7 +181,8 @@ PositionPairs<Pose::kDim> PairPositions(const Measurements& measurements, const 
 // The rotation by the least angle that takes one unit vector to another; half a turn about any axis across them where
 // they are opposite.
 inline Block<3> LeastTurn(const Point<3>& from, const Point<3>& to) {
-  const Point<3> axis = from.cross(to);
+  Point<3> axis = from.cross(to);
+  axis -= axis.dot(from) * from;  // rounding, which counts where they are nearly opposite
   const double sine = axis.norm(), angle = std::atan2(sine, from.dot(to));
   return SO3::Exp(sine > 1e-12 ? Point<3>(angle / sine * axis) : Point<3>(angle * from.unitOrthogonal())).Rotation();
 }

@@ -114,10 +114,6 @@ void OpenMissingDescriptors() {
   }
 }
 
-int GoOnAsStereoProgram(char** argv) try { terse::RunStereoProgram(argv); } catch (const std::exception& error) {
-  return Fail(error.what(), 1);
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -128,7 +124,7 @@ int main(int argc, char** argv) {
   try {
     return Run(argc, argv);
   } catch (const terse::StereoProgramAsked&) {
-    return GoOnAsStereoProgram(argv);
+    return Fail(terse::RunStereoProgram(argv), 1);
   } catch (const terse::NumericalError& error) {
     return Fail(error.what(), 3);
   } catch (const std::bad_alloc&) {

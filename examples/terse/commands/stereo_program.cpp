@@ -3,31 +3,29 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstring>
 #include <filesystem>
-#include <stdexcept>
 #include <system_error>
 
 namespace terse {
 namespace {
 
+// Seen from this program; empty if the system does not tell where that is.
 std::filesystem::path StereoProgram() {
-  const auto self = std::filesystem::read_symlink("/proc/self/exe");
-  return (self.parent_path() / TERSE_STEREO_PROGRAM).lexically_normal();
+  std::error_code error;
+  const auto self = std::filesystem::read_symlink("/proc/self/exe", error);
+  return error ? std::filesystem::path() : (self.parent_path() / TERSE_STEREO_PROGRAM).lexically_normal();
 }
 
 }  // namespace
 
-bool HasStereoProgram() {
-  std::error_code ignored;
-  return std::filesystem::exists(StereoProgram(), ignored);
-}
+bool HasStereoProgram() { return access(StereoProgram().c_str(), X_OK) == 0; }
 
-void RunStereoProgram(char** argv) {
-  const std::filesystem::path program = StereoProgram();
+std::string RunStereoProgram(char** argv) {
+  const std::string program = StereoProgram().string();
   execv(program.c_str(), argv);
-  const std::string cause = std::generic_category().message(errno);
-  throw std::runtime_error("the stereo front end, " + program.string() + ": " + cause +
-                           "; it is built where OpenCV is found (libopencv-dev, -DTERSE_BUILD_FRONTEND=ON)");
+  return "the stereo front end, " + (program.empty() ? "/proc/self/exe" : program) + ": " + std::strerror(errno) +
+         "; it is built where OpenCV is found (libopencv-dev, -DTERSE_BUILD_FRONTEND=ON)";
 }
 
 }  // namespace terse

@@ -2,6 +2,8 @@
 // `terse kitti` and `terse generate stereo` are run by a program of their own, terse-stereo: loading OpenCV takes
 // longer than most of what the other subcommands do. It is the same command, linked with the stereo front end.
 
+#include <string>
+
 namespace terse {
 
 constexpr const char* kKittiDescription = "A compact map from a stereo sequence in KITTI's layout";
@@ -15,7 +17,7 @@ struct StereoProgramAsked {};
 // Whether it is where it belongs, seen from the program that runs; terse-stereo sees none.
 bool HasStereoProgram();
 
-// Goes on as terse-stereo with the same arguments. Throws std::runtime_error where it cannot be run.
-[[noreturn]] void RunStereoProgram(char** argv);
+// Goes on as terse-stereo with the same arguments. Returns why, if it cannot be run.
+std::string RunStereoProgram(char** argv);
 
 }  // namespace terse
