@@ -276,15 +276,21 @@ bool LoopJury<Pose>::JudgeAtFirst() {
 
 template <class Pose>
 bool LoopJury<Pose>::JudgeBy(const CompactRun<Pose>& run) {
+  return JudgeBy(run.slam, run.decisions, run.links_offered, run.links_refused);
+}
+
+template <class Pose>
+bool LoopJury<Pose>::JudgeBy(const CompactPoseSlam<Pose>& map, const std::vector<Decision>& decisions, long offered,
+                             long refused) {
   if (options_.robust.kernel != RobustKernel::kGnc) return false;
-  const std::string of_all = " of " + std::to_string(run.links_offered) + " loops ";
-  if (AreLoopsInDoubt(run.links_refused, run.links_offered)) {
-    return Judge(std::to_string(run.links_refused) + of_all + "contradict the map", ValuesOf(run.slam, graph_));
+  const std::string of_all = " of " + std::to_string(offered) + " loops ";
+  if (AreLoopsInDoubt(refused, offered)) {
+    return Judge(std::to_string(refused) + of_all + "contradict the map", ValuesOf(map, graph_));
   }
-  const std::vector<FactorId> strained = StrainedLoops(run.decisions, run.links_offered, graph_);
+  const std::vector<FactorId> strained = StrainedLoops(decisions, offered, graph_);
   return !strained.empty() &&
          Judge(std::to_string(strained.size()) + of_all + "bent the map as hardly one of them should",
-               ValuesOf(run.slam, graph_), strained);
+               ValuesOf(map, graph_), strained);
 }
 
 template <class Pose>

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "lap_timer.h"
+#include "terse/compact/contradicted_loops.h"
 #include "terse/core/definite.h"
 #include "terse/core/log_message.h"
 
@@ -136,6 +137,45 @@ void StereoSlam::NoteOdometry(PoseId id, const std::optional<RelativePoseFactor<
                         odometry_poses_.end());
 }
 
+void StereoSlam::NoteMeasured(const StereoSlamStep& step, const std::optional<RelativePoseFactor<SE3>>& odometry) {
+  if (map_.Options().most_dropped) return;
+  measured_.AddPose(step.id);
+  if (odometry) measured_.AddFactor(*odometry);
+  for (const LoopAttempt& a : step.attempts) {
+    const LoopVerification& v = a.verification;
+    if (v.Verified()) measured_.AddFactor(Link(a.candidate, a.current, v.T_candidate_current, v.covariance));
+  }
+}
+
+LookedBack StereoSlam::LookBack(const std::vector<Decision>& decisions, const AfterStep<SE3>& after_step) {
+  LookedBack out;
+  const std::vector<FactorId> loops = LoopFactors(measured_);
+  if (loops.empty()) return out;
+  long refused = 0;
+  for (const Decision& decision : decisions) refused += decision.links_refused;
+  for (const FactorId id : LoopFactors(map_.Solver().Graph())) refused += map_.Solver().WeightOf(id) == 0;
+  LoopJury<SE3> jury(measured_, {}, map_.Options().solver.robust);
+  jury.on_judging = [&](const std::string& why) { out.why = why; };
+  if (!jury.JudgeBy(map_, decisions, static_cast<long>(loops.size()), refused)) return out;
+  CompactPoseSlam<SE3> again(map_.Options());
+  out.decisions = AddPoses<SE3>(again, GraphReplay<SE3>(jury.Remaining()), [&](const Decision& decision, double s) {
+    if (after_step) after_step(again, decision, s);
+    return true;
+  });
+  map_ = std::move(again);
+  for (const FactorId id : jury.LeftOut()) {
+    const auto& loop = std::get<RelativePoseFactor<SE3>>(measured_.FindFactor(id)->factor);
+    out.wrong.emplace_back(loop.from, loop.to);
+  }
+  const auto has_gone = [&](PoseId id) {
+    if (map_.KeptBase(id) == id) return false;
+    verifier_.Forget(id);
+    return true;
+  };
+  stored_.erase(std::remove_if(stored_.begin(), stored_.end(), has_gone), stored_.end());
+  return out;
+}
+
 std::vector<SE3> StereoSlam::OdometryTrajectory() const {
   std::vector<SE3> out;
   out.reserve(odometry_poses_.size());
@@ -183,6 +223,7 @@ StereoSlamStep StereoSlam::AddFrame(const StereoFrame& frame) {
   previous_ = step.id;
   pending_.reset();
   NoteOdometry(step.id, input.odometry);
+  NoteMeasured(step, input.odometry);
   return step;
 }
 

@@ -36,6 +36,7 @@ class StreetBuilder {
 
   void Build() {
     AddSky();
+    const std::size_t sky = scene_.polygons_.size();
     AddGround();
     for (const int side : {-1, 1}) {
       AddFacades(side);
@@ -43,12 +44,33 @@ class StreetBuilder {
       AddAlong(13.0, 0.7, [&](double s) { AddTree(s, side); });
       AddAlong(17.0, 0.9, [&](double s) { AddPost(s, side); });
     }
+    if (options_.twins) AddTwins(sky);
   }
 
  private:
   using Painter = void (*)(StreetCanvas&, std::uint64_t);
 
   double Blank(double s) const { return BlankAt(options_, path_, s); }
+  // Of the path, up to which things stand at it.
+  double End() const { return options_.twins ? path_.Length() / 2 : path_.Length(); }
+  // Of the block.
+  Point Middle() const {
+    const StreetPoint opposite = path_.At(path_.Length() / 2);
+    return Point(opposite.x, opposite.y) / 2;
+  }
+
+  // Of all polygons from this one on.
+  void AddTwins(std::size_t first) {
+    const Vector<3> middle = InSpace(Middle(), 0);
+    const auto turned = [](const Vector<3>& v) { return Vector<3>(-v.x(), -v.y(), v.z()); };
+    for (std::size_t k = first, end = scene_.polygons_.size(); k < end; ++k) {
+      StreetPolygon twin = scene_.polygons_[k];
+      twin.origin = middle + turned(twin.origin - middle);
+      twin.s_axis = turned(twin.s_axis);
+      twin.t_axis = turned(twin.t_axis);
+      scene_.polygons_.push_back(twin);
+    }
+  }
 
   Point At(double s, double left) const {
     const StreetPoint p = path_.At(s);
@@ -113,8 +135,12 @@ class StreetBuilder {
       low_y = std::min(low_y, p.y), high_y = std::max(high_y, p.y);
     }
     const std::uint64_t seed = random_.Bits();
-    for (double x = kTile * std::floor((low_x - kReach) / kTile); x < high_x + kReach; x += kTile) {
-      for (double y = kTile * std::floor((low_y - kReach) / kTile); y < high_y + kReach; y += kTile) {
+    // Tiles of twins are those below the middle, from where they are turned.
+    const Point first = options_.twins ? Middle() : Point(0, 0);
+    const double top = options_.twins ? first.y() - kTile / 2 : high_y + kReach;
+    const auto low = [&](double edge, double from) { return from + kTile * std::floor((edge - kReach - from) / kTile); };
+    for (double x = low(low_x, first.x()); x < high_x + kReach; x += kTile) {
+      for (double y = low(low_y, first.y()); y < top; y += kTile) {
         if (std::abs(path_.Nearest(x + kTile / 2, y + kTile / 2).left) > kReach) continue;
         const auto paint = [this_path = &path_, options = options_, seed, x, y](StreetCanvas& canvas) {
           const auto blank = [&](double s) { return BlankAt(options, *this_path, s); };
@@ -128,8 +154,8 @@ class StreetBuilder {
 
   // Houses wall to wall or with gaps, each at its own distance from the road, and a wall or hedge across the gaps.
   void AddFacades(int side) {
-    for (double s = 0; s < path_.Length();) {
-      const double width = std::min(random_.Uniform(5, 11), path_.Length() - s + 0.5);
+    for (double s = 0; s < End();) {
+      const double width = std::min(random_.Uniform(5, 11), End() - s + 0.5);
       const bool blank = Blank(s + width / 2) > 0, gap = !blank && random_.Chance(0.18);
       const double aside = blank ? 8.2 : kSidewalkEdge + random_.Uniform(0.3, 2.8), depth = 6;
       Point a = At(s, side * aside), b = At(s + width, side * aside);
@@ -153,7 +179,7 @@ class StreetBuilder {
 
   template <class Add>
   void AddAlong(double spacing, double chance, const Add& add) {
-    for (double s = random_.Uniform(0, spacing); s < path_.Length() - spacing / 3;
+    for (double s = random_.Uniform(0, spacing); s < End() - spacing / 3;
          s += spacing * random_.Uniform(0.7, 1.3)) {
       if (random_.Chance(chance) && Blank(s) == 0) add(s);
     }

@@ -27,6 +27,7 @@ struct StreetSceneOptions {
   double texels_per_metre = 50;
   bool featureless_stretches = true;
   std::uint64_t seed = 1;
+  bool twins = false;  // the street turned by half a turn about the middle of the block is the street
 };
 
 class StreetScene {

@@ -191,6 +191,28 @@ TEST_F(KittiCommandTest, ChoosesFramesAndSearch) {
   EXPECT_EQ(JsonFile("both/appearance/stats.json").at("poses_kept"), kFrames);
 }
 
+// The second half of the lap looks like the first, and by these thresholds all of it is in range.
+TEST_F(KittiCommandTest, LeavesOutPlacesThatLookAlike) {
+  Succeed("generate stereo --twins --laps 1 --frames 180 --size 306x92 --output twins --quiet");
+  Succeed("kitti twins --frames 0:1 --output defaults --quiet");
+  auto thresholds = JsonFile("defaults/thresholds.json");
+  thresholds["range"] = {200, 200, 200, 3.2};
+  Write("wide.json", thresholds.dump());
+  const Outcome outcome =
+      Succeed("kitti twins --thresholds wide.json --ground-truth twins/poses.txt --output map");
+  EXPECT_NE(outcome.err.find("all were judged together, and the map is made without the "), std::string::npos)
+      << outcome.err;
+  const auto stats = JsonFile("map/stats.json");
+  const auto& judged = stats.at("loops_judged");
+  EXPECT_EQ(judged.at("loops"), stats.at("verified"));
+  EXPECT_GT(judged.at("left_out"), 5);
+  EXPECT_EQ(judged.at("left_out"), judged.at("links").size());
+  EXPECT_LE(stats.at("accepted").get<int>(), judged.at("loops").get<int>() - judged.at("left_out").get<int>());
+  EXPECT_LE(stats.at("errors").at("ate_m").get<double>(), 1.01 * stats.at("odometry_errors").at("ate_m").get<double>());
+  EXPECT_EQ(CsvRows(Read("map/decisions.csv")).size(), 180u);
+  EXPECT_EQ(CsvRows(Read("map/steps.csv")).size(), 180u);
+}
+
 TEST_F(KittiCommandTest, CovariancesByMonteCarlo) {
   Succeed("kitti street --output schur --strategy apfl --frames 0:4 --quiet");
   Succeed("kitti street --output sampled --strategy apfl --frames 0:4 --covariance monte-carlo --quiet");

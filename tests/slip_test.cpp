@@ -17,6 +17,7 @@
 #include "terse/core/outliers.h"
 #include "terse/core/replay.h"
 #include "terse/core/slips.h"
+#include "testing_poses.h"
 #include "testing_scene.h"
 
 namespace terse {
@@ -134,6 +135,35 @@ TEST(Slip, NoneIsInventedByGroups) {
   const auto found = Solve(wrong, RobustKernel::kGnc);
   EXPECT_LT(Distance(found.T_world_body, truth), 1);
   EXPECT_TRUE(SlippedOdometry(wrong, found.weights).empty());
+}
+
+// Two laps round a block whose opposite sides look alike. That a robot jumps to the other side four times explains all
+// loops; that it does not jump leaves two in three of them out.
+TEST(Slip, ARobotDoesNotJump) {
+  constexpr int kLap = 100;
+  for (const std::uint64_t seed : testing::Seeds(1, 2)) {
+    testing::PoseRandom rng(static_cast<unsigned>(seed));
+    PoseGraph<SE2> without, with;  // places that look alike
+    const auto measure = [&](int from, int to, const SE2& T_from_to) {
+      const SE2 measured = T_from_to.Retract(0.01 * rng.NormalVector<3>());
+      return RelativePoseFactor<SE2>{{from}, {to}, measured, 1e4 * Matrix<3, 3>::Identity()};
+    };
+    const auto add = [&](const RelativePoseFactor<SE2>& edge) {
+      with.AddFactor(edge);
+      without.AddFactor(edge);
+    };
+    for (int k = 0; k < 2 * kLap; ++k) {
+      with.AddPose({k});
+      without.AddPose({k});
+      if (k > 0) add(measure(k - 1, k, SE2(1, 0, 2 * M_PI / kLap)));
+      if (k % 10 == 0) continue;
+      if (k >= kLap) add(measure(k - kLap, k, SE2()));
+      if (k >= kLap / 2) with.AddFactor(measure(k - kLap / 2, k, SE2()));
+    }
+    const auto expected = Solve(without, RobustKernel::kNone), found = Solve(with, RobustKernel::kGnc);
+    EXPECT_TRUE(SlippedOdometry(with, found.weights).empty());
+    EXPECT_LT(Distance(found.T_world_body, expected.T_world_body), 0.01) << "seed " << seed;
+  }
 }
 
 // What slipped is named while the robot drives, stays named in a stored state, and goes on from there alike.

@@ -25,6 +25,9 @@ constexpr size_t kMostWitnesses = 30;
 // Until so many in a row do not: the closest come first.
 constexpr size_t kMostInVain = 8;
 constexpr double kTolerance = 1e-6;  // of costs that are compared
+// A robot does not jump. Where loops have it move farther from one pose to the next, in steps as odometry has the
+// longest, it is two places that look alike that they take for one, however many they are.
+constexpr double kMostSteps = 10;
 // With wrong loops among those that are in, a solver creeps; what it is worth shows long before.
 constexpr int kMostIterations = 20;
 
@@ -171,6 +174,17 @@ class Search {
 
   int Places() const { return CountPlaces(witnesses_); }
 
+  // As far as a robot can have gone from one pose to the next.
+  double FarthestStep(std::optional<FactorId> but) const {
+    double longest = 0;
+    for (const auto& node : map_.Graph().Factors()) {
+      const std::optional<Span<Pose>> span = SpanOf(node.id);
+      if (!span || span->last - span->first != 1 || node.id == but || map_.SlotOf(node.id) < 0) continue;
+      longest = std::max(longest, span->T_first_last.Translation().norm());
+    }
+    return longest > 0 ? kMostSteps * longest : std::numeric_limits<double>::infinity();
+  }
+
   // The odometry edge that the fewest loops defend; of these the one that would have to be the least wrong.
   std::optional<Slip<Pose>> Blame() const {
     const std::vector<FactorId> in = loops_.in();
@@ -187,9 +201,12 @@ class Search {
     double least = std::numeric_limits<double>::infinity();
     int fewest = std::numeric_limits<int>::max(), at = -1, open = 0;
     std::optional<FactorId> blamed;
+    const double farthest = FarthestStep(std::nullopt);
     for (int v = first_; v < last_; ++v) {
       open += defenders[At(v - first_)];
       if (open > fewest) continue;
+      const Pose step = map_.EstimateAt(v).Inverse() * correction_ * map_.EstimateAt(v + 1);
+      if (step.Translation().norm() > farthest) continue;
       const int slot = OdometrySlot(v, is_in, map_);
       if (slot < 0) continue;
       const FactorId odometry = map_.IdAt(slot);
@@ -279,6 +296,8 @@ class Search {
     if (!(alone.cost < Cost(map_.Estimates(), FactorId()))) return std::nullopt;
     const FactorPoses ends = PosesOf(map_.Graph().FindFactor(*slip.odometry)->factor);
     const int v = std::min(map_.Graph().IndexOf(ends.first), map_.Graph().IndexOf(ends.second));
+    const Pose step = alone.T_world_body[At(v)].Inverse() * alone.T_world_body[At(v) + 1];
+    if (step.Translation().norm() > FarthestStep(slip.odometry)) return std::nullopt;
     std::vector<Span<Pose>> in;
     for (const FactorId id : loops_.in()) {
       const bool stays = std::find(slip.goes.begin(), slip.goes.end(), id) == slip.goes.end();

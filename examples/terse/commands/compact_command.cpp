@@ -256,13 +256,13 @@ template <class Pose>
 nlohmann::ordered_json ToJson(const LoopJury<Pose>& jury, const PoseGraph<Pose>& graph,
                               const std::vector<std::string>& reasons, double seconds) {
   if (reasons.empty()) return nullptr;
-  nlohmann::ordered_json report = {
-      {"loops", LoopFactors(graph).size()},  {"reasons", reasons}, {"left_out", jury.LeftOut().size()},
-      {"sigma_scale", ToJson(jury.Scale())}, {"seconds", seconds}, {"links", nlohmann::ordered_json::array()}};
+  std::vector<std::pair<PoseId, PoseId>> wrong;
   for (const FactorId id : jury.LeftOut()) {
     const FactorPoses ends = PosesOf(graph.FindFactor(id)->factor);
-    report["links"].push_back({{"from", ends.first.value}, {"to", ends.second.value}});
+    wrong.emplace_back(ends.first, ends.second);
   }
+  nlohmann::ordered_json report = LoopsJudgedJson(LoopFactors(graph).size(), reasons, wrong, seconds);
+  report["sigma_scale"] = ToJson(jury.Scale());
   return report;
 }
 

@@ -70,6 +70,7 @@ void AddStreetOptions(CLI::App& command, StreetOptions& street) {
   add("--noise", street.noise, 0, 50, "Standard deviation of the noise, grey levels");
   add("--contrast", street.contrast, 0, 1, "Contrast of the textures");
   add("--disparity-offset", street.disparity_offset, -5, 5, "Disparity of the images minus that of calib.txt, pixels");
+  command.add_flag("--twins", street.twins, "The second half of a lap looks like the first, house by house");
   add("--exposure", street.exposure, 0, 0.9, "By how much of itself the gain varies");
 }
 

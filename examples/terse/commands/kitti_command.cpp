@@ -93,6 +93,13 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.after_step = [&](const StereoSlamStep& step) { loops.Add(step); };
   Outcome out{RunKitti(sequence, frames, how), std::nullopt};
   loops.Commit();
+  if (const LookedBack& back = out.run.looked_back; !back.why.empty() && !options.quiet) {
+    std::cerr << "terse: note: " << options.path << ": " << back.why << ": all were judged together, and "
+              << (back.wrong.empty() ? "none is left out for it"
+                                     : "the map is made without the " + std::to_string(back.wrong.size()) +
+                                           " that are wrong")
+              << '\n';
+  }
   if (out.run.truth.size() > 1) out.errors = ComputeKittiErrors(out.run, sequence);
   WriteKittiResults(out.run, sequence, out.errors, folder);
   WriteReport({folder}, folder + "/report.html");

@@ -18,6 +18,10 @@ std::optional<Evaluation> EvaluateRun(const RunTrajectories& trajectories, int d
 template <class Pose>
 Stats MakeStats(const PoseGraph<Pose>& graph, const CompactRun<Pose>& run, const std::optional<Evaluation>& errors);
 
+// loops_judged: of so many loops, why they were judged and which of them are wrong.
+nlohmann::ordered_json LoopsJudgedJson(std::size_t loops, const std::vector<std::string>& reasons,
+                                       const std::vector<std::pair<PoseId, PoseId>>& wrong, double seconds);
+
 // What the strategy bounded made of links: keys of stats.json, and a line of words for the summary. Nothing for others.
 template <class Pose>
 std::optional<ComposedCounts> CountComposed(const CompactPoseSlam<Pose>& slam);

@@ -77,6 +77,10 @@ Json StatsToJson(const KittiRun& run, const KittiSequence& sequence, const std::
   json["refused_by_innovation"] = t.refused;
   json["poses_kept"] = slam.Map().Solver().Graph().Poses().size();
   json["links_kept"] = slam.Map().LinksKept();
+  if (const LookedBack& back = run.looked_back; !back.why.empty()) {
+    json["loops_judged"] =
+        LoopsJudgedJson(static_cast<std::size_t>(t.verified), {back.why}, back.wrong, t.look_back / 1000);
+  }
   AddTo(json, CountComposed(slam.Map()));
   AddTo(json, ToTell(t.retired, slam.Map().Options().strategy));
   if (slam.Map().PosesForgotten() > 0) json["frames_forgotten"] = slam.Map().PosesForgotten();

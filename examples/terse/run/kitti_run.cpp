@@ -35,7 +35,14 @@ AppearanceSearch MakeSearch(const KittiSequence& sequence, const std::vector<int
   return AppearanceSearch(descriptors);
 }
 
+void Add(const Decision& decision, KittiTotals& totals) {
+  totals.accepted += decision.links_accepted;
+  totals.refused += decision.links_refused;
+  totals.retired.Add(decision.retired);
+}
+
 void Add(const StereoSlamStep& step, KittiTotals& totals) {
+  Add(step.decision, totals);
   const StereoSlamTimes& t = step.times;
   totals.times.odometry += t.odometry;
   totals.times.features += t.features;
@@ -54,9 +61,6 @@ void Add(const StereoSlamStep& step, KittiTotals& totals) {
   totals.candidates += static_cast<long>(step.decision.candidates.size());
   totals.compared += static_cast<long>(step.attempts.size());
   for (const LoopAttempt& attempt : step.attempts) totals.verified += attempt.verification.Verified();
-  totals.accepted += step.decision.links_accepted;
-  totals.refused += step.decision.links_refused;
-  totals.retired.Add(step.decision.retired);
 }
 
 // As seen from camera 0, if the poses are those of the left camera of another pair.
@@ -86,6 +90,23 @@ void DropForgotten(KittiRun& run) {
   erase(run.decisions, [](const Decision& decision) { return decision.id; });
 }
 
+// All loops at once; where some are wrong what is told of the map is of the one made without them.
+void LookBack(KittiRun& run, const TruePoses* truth) {
+  const double before = SecondsNow();
+  StepRecorder<SE3> recorder(static_cast<int>(run.frames.size()), truth);
+  run.looked_back = run.slam.LookBack(
+      run.decisions, [&](const CompactPoseSlam<SE3>& map, const Decision& decision, double seconds) {
+        recorder.Add(map, decision, seconds);
+      });
+  run.totals.look_back = 1000 * (SecondsNow() - before);
+  if (run.looked_back.wrong.empty()) return;
+  run.decisions = std::move(run.looked_back.decisions);
+  run.steps = recorder.Steps();
+  run.totals.accepted = run.totals.refused = 0;
+  run.totals.retired = {};
+  for (const Decision& decision : run.decisions) Add(decision, run.totals);
+}
+
 }  // namespace
 
 KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames, const KittiRunOptions& options) {
@@ -96,7 +117,7 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
     search = MakeSearch(sequence, frames, options);
     vocabulary = SecondsNow() - before;
   }
-  KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}, {}, {}, {}, {}};
+  KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}, {}, {}, {}, {}, {}};
   const TruePoses truth = TrueLeftPoses(sequence, frames, options.truth);
   StepRecorder<SE3> recorder(static_cast<int>(frames.size()), truth.empty() ? nullptr : &truth);
   long forgotten = 0;
@@ -127,6 +148,7 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
     totals.seconds = SecondsNow() - start;
   }
   run.steps = recorder.Steps();
+  LookBack(run, truth.empty() ? nullptr : &truth);
   if (!options.truth.empty()) {
     for (const int frame : run.frames) run.truth.push_back(truth.at(frame) * sequence.T_camera0_left().Inverse());
   }

@@ -19,6 +19,7 @@ struct KittiTotals {
   StereoSlamTimes times;
   OdometryTimes odometry;
   double waiting = 0;     // for images that the other thread had not decoded yet
+  double look_back = 0;   // at the end; not part of the others
   double vocabulary = 0;  // finding one, for candidates by appearance; not part of the others
   int frames = 0, lost = 0;
   long candidates = 0;                           // pairs of poses that the search gave
@@ -46,6 +47,7 @@ struct KittiRun {
   std::vector<Decision> decisions;
   std::vector<CompactStep> steps;
   std::vector<OddFrame> odd;
+  LookedBack looked_back;  // its decisions are above
   std::vector<RetiredPose> retired_at_end;
   BatchResult<SE3> result;  // of the map
 };

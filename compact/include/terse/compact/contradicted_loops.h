@@ -79,6 +79,8 @@ class LoopJury {
   // By a map of what remains, if its loops are in doubt or some are strained. True if others are left out now, so that
   // it is to be made anew.
   bool JudgeBy(const CompactRun<Pose>& run);
+  // The same: what it decided on so many loops, of which it refused so many.
+  bool JudgeBy(const CompactPoseSlam<Pose>& map, const std::vector<Decision>& decisions, long offered, long refused);
   // The same without asking whether there is reason, by the values of a map (by pose index; none: by none).
   bool JudgeNextTo(const std::vector<Pose>& T_world_body, const std::vector<FactorId>& strained);
   // As if these had been found, ascending.

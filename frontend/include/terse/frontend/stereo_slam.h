@@ -13,11 +13,15 @@
 // tells; the innovation test does not apply. With an AppearanceSearch given, the candidates are instead the keyframes
 // that look alike, all poses are kept and all verified links added.
 //
+// A place that looks like another one is verified as well as the same one, and a map hears of a loop once, when it
+// comes. At the end of a run LookBack judges all of them together.
+//
 // Deterministic. Not thread-safe.
 
 #include <memory>
 #include <vector>
 
+#include "terse/compact/compact_graph.h"
 #include "terse/compact/compact_pose_slam.h"
 #include "terse/frontend/appearance_search.h"
 #include "terse/frontend/loop_verifier.h"
@@ -68,6 +72,13 @@ struct StereoSlamStep {
   StereoSlamTimes times;
 };
 
+// What came of judging all loops together.
+struct LookedBack {
+  std::string why;                                // they were judged; "": there was no reason to
+  std::vector<std::pair<PoseId, PoseId>> wrong;   // candidate and frame of those that are wrong
+  std::vector<Decision> decisions;                // where there are any: of all frames, in place of those before
+};
+
 class StereoSlam {
  public:
   // Throws std::invalid_argument if the camera or an option makes no sense. `appearance`: candidates by appearance.
@@ -82,6 +93,12 @@ class StereoSlam {
   // has passed it, and the next frame's link spans both.
   StereoSlamStep AddFrame(const StereoFrame& frame);
 
+  // Where the map refuses many of the verified loops, leaves them out by its kernel, or was bent by one that no other
+  // bears out, all are judged together (LoopJury), and if some are wrong the map is made anew of what was measured
+  // without them: `decisions` are those that AddFrame returned, `after_step` hears of every frame again. Nothing with a
+  // kernel other than kGnc, or where frames are forgotten (CompactOptions::most_dropped), for that takes what was
+  // measured of all. Throws as AddFrame does for the map; it is as before then.
+  LookedBack LookBack(const std::vector<Decision>& decisions, const AfterStep<SE3>& after_step = nullptr);
   // Poses retire as at the end of a run (CompactPoseSlam::Retire), and their features go.
   std::vector<RetiredPose> Retire();
   // Iterates the map to its optimum.
@@ -98,6 +115,7 @@ class StereoSlam {
   void StoreFeatures(PoseId id);
   void DropFeatures(const std::vector<RetiredPose>& retired);
   void NoteOdometry(PoseId id, const std::optional<RelativePoseFactor<SE3>>& measured);
+  void NoteMeasured(const StereoSlamStep& step, const std::optional<RelativePoseFactor<SE3>>& odometry);
 
   StereoSlamOptions options_;
   StereoOdometry odometry_;
@@ -113,6 +131,7 @@ class StereoSlam {
   };
   std::vector<OdometryPose> odometry_poses_;  // of the frames that the map remembers
   long forgotten_ = 0;                        // poses of the map, when these were last looked through
+  PoseGraph<SE3> measured_;                   // odometry and verified loops, where no frame is forgotten
 };
 
 }  // namespace terse

@@ -26,6 +26,9 @@ struct StreetOptions {
   double disparity_offset = 0.1;  // pixels: what the images show minus what the calibration says
   double exposure = 0.25;         // the gain varies by this much about 1
   bool featureless_stretches = true;
+  // The second half of a lap looks like the first, as rows of houses built to one plan do: what stands at two places
+  // half a lap apart is the same.
+  bool twins = false;
 };
 
 class StreetSequence {
