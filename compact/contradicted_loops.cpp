@@ -23,9 +23,16 @@ constexpr double kDoubtfulShare = 0.01;
 constexpr double kChanceOfStrain = 0.05;
 // An explanation of so many times as many loops, in so many times as many groups, is better at any cost.
 constexpr double kManyMore = 1.05;
-// With so few loops, one through a kernel so many times as wide is looked at too.
+// With so few loops, one through a kernel so many times as wide is looked at too. It has to cost less by such a share of
+// what the loops that it explains besides count.
 constexpr std::size_t kFewLoops = 500;
 constexpr double kWider = 2;
+constexpr double kWorthOfWider = 0.25;
+// A group of loops is one mistake. It goes where others cost less without it, by the chi2 of so many loops left out or
+// by that of half of its own; those are looked at, the worst first, whose own chi2 is that of one.
+constexpr double kPriceOfGroup = 5, kPriceOfLoop = 0.5;
+constexpr std::size_t kMostSuspects = 10;
+constexpr int kMostGroupsOut = 10;
 // Which loops contradict a trajectory does not take the last digits of it.
 constexpr double kTolerance = 1e-6;
 constexpr int kMostIterations = 50;
@@ -69,7 +76,8 @@ class Judge {
       places.push_back(std::minmax({of(ends.first), of(ends.second)}));
     }
     share_of_group_.resize(loops_.size());
-    for (const auto& group : internal::GroupLoops(places)) {
+    groups_ = internal::GroupLoops(places);
+    for (const auto& group : groups_) {
       for (const std::size_t k : group) share_of_group_[k] = 1 / static_cast<double>(group.size());
     }
     std::vector<double> explained;
@@ -117,6 +125,35 @@ class Judge {
   bool IsBetterWithOpen(const Explanation<Pose>& a, const Explanation<Pose>& b) const {
     return a.open_cost < b.open_cost && Explained(a) >= Explained(b);
   }
+  // Through the wider kernel.
+  bool IsWorthMore(const Explanation<Pose>& wider, const Explanation<Pose>& than) const {
+    const double more = static_cast<double>(Explained(wider)) - static_cast<double>(Explained(than));
+    return ExplainsManyMore(wider, than) &&
+           than.wide_cost - wider.wide_cost > kWorthOfWider * more * kWider * kWider * left_out_;
+  }
+  // Of groups what is not contradicted, where it costs as much as one loop left out: the worst first.
+  std::vector<std::vector<FactorId>> Suspects(const Explanation<Pose>& by) const {
+    std::vector<std::pair<double, std::vector<FactorId>>> found;
+    for (const auto& group : groups_) {
+      double chi2 = 0;
+      std::vector<FactorId> in;
+      for (const std::size_t k : group) {
+        if (std::binary_search(by.contradicted.begin(), by.contradicted.end(), loops_[k])) continue;
+        in.push_back(loops_[k]);
+        chi2 += Chi2Of(graph_.FindFactor(loops_[k])->factor, graph_, by.T_world_body);
+      }
+      if (chi2 >= left_out_) found.emplace_back(-chi2, std::move(in));
+    }
+    std::sort(found.begin(), found.end());
+    if (found.size() > kMostSuspects) found.resize(kMostSuspects);
+    std::vector<std::vector<FactorId>> out;
+    for (auto& suspect : found) out.push_back(std::move(suspect.second));
+    return out;
+  }
+  // By how much others cost less without a group of so many loops than it is worth; below zero: it stays.
+  double Relief(const Explanation<Pose>& with, const Explanation<Pose>& without, std::size_t loops) const {
+    return with.cost - without.cost - std::max(kPriceOfGroup, kPriceOfLoop * static_cast<double>(loops)) * left_out_;
+  }
   std::size_t Explained(const Explanation<Pose>& by) const {
     return counted_.size() -
            static_cast<std::size_t>(std::count_if(by.contradicted.begin(), by.contradicted.end(), [&](FactorId id) {
@@ -140,9 +177,41 @@ class Judge {
 
   const PoseGraph<Pose>& graph_;
   std::vector<FactorId> loops_, counted_;  // ascending
-  std::vector<double> share_of_group_;     // of each loop
+  std::vector<std::vector<std::size_t>> groups_;  // of indices into loops_
+  std::vector<double> share_of_group_;            // of each loop
   double left_out_, k_ = 0;
 };
+
+// Wrong loops of one group agree with each other, and together hold what they bend.
+template <class Pose>
+Explanation<Pose> WithoutDearGroups(Explanation<Pose> best, const Judge<Pose>& judge, const PoseGraph<Pose>& graph,
+                                    const BatchOptions& next_to) {
+  std::vector<FactorId> out;
+  for (int round = 0; round < kMostGroupsOut; ++round) {
+    double most = 0;
+    std::optional<Explanation<Pose>> found;
+    std::vector<FactorId> out_of_found;
+    for (const std::vector<FactorId>& group : judge.Suspects(best)) {
+      std::vector<FactorId> without;
+      std::set_union(out.begin(), out.end(), group.begin(), group.end(), std::back_inserter(without));
+      BatchOptions options = next_to;
+      options.robust_factors->clear();
+      std::set_difference(next_to.robust_factors->begin(), next_to.robust_factors->end(), without.begin(),
+                          without.end(), std::back_inserter(*options.robust_factors));
+      Explanation<Pose> other =
+          judge.Weigh(SolveBatch(WithoutFactors(graph, without), best.T_world_body, options).T_world_body);
+      const double relief = judge.Relief(best, other, group.size());
+      if (relief <= most) continue;
+      most = relief;
+      found = std::move(other);
+      out_of_found = std::move(without);
+    }
+    if (!found) break;
+    best = std::move(*found);
+    out = std::move(out_of_found);
+  }
+  return best;
+}
 
 // ContradictedLoops, with the values that say so.
 template <class Pose>
@@ -186,9 +255,9 @@ Explanation<Pose> BestExplanation(const PoseGraph<Pose>& graph, const std::vecto
     BatchOptions wider = options;
     wider.robust.width = kWider * solved.robust_width;
     Explanation<Pose> other = judge.Weigh(SolveBatch(graph, wider).T_world_body);
-    if (judge.ExplainsManyMore(other, best) && other.wide_cost < best.wide_cost) best = std::move(other);
+    if (judge.IsWorthMore(other, best)) best = std::move(other);
   }
-  return best;
+  return WithoutDearGroups(std::move(best), judge, graph, next_to);
 }
 
 // Of all measurements, at these values.
