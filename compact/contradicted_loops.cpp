@@ -23,14 +23,13 @@ constexpr double kDoubtfulShare = 0.01;
 constexpr double kChanceOfStrain = 0.05;
 // An explanation of so many times as many loops, in so many times as many groups, is better at any cost.
 constexpr double kManyMore = 1.05;
-// With so few loops, one through a kernel so many times as wide is looked at too. It has to cost less by such a share of
-// what the loops that it explains besides count.
+// With so few loops, one through a kernel so many times as wide is looked at too. It has to explain so many groups more,
+// as a single one may be one mistake, and to cost less by such a share of what its loops count.
 constexpr std::size_t kFewLoops = 500;
-constexpr double kWider = 2;
-constexpr double kWorthOfWider = 0.25;
-// A group of loops is one mistake. It goes where others cost less without it, by the chi2 of so many loops left out or
-// by that of half of its own; those are looked at, the worst first, whose own chi2 is that of one.
-constexpr double kPriceOfGroup = 5, kPriceOfLoop = 0.5;
+constexpr double kWider = 2, kLeastGroups = 1.5, kWorthOfWider = 0.25;
+// A group goes where others cost less without it, by the chi2 of so many loops left out or of such a part of its own;
+// those are looked at, the worst first, whose own chi2 is that of one.
+constexpr double kPriceOfGroup = 5, kPriceOfLoop = 0.75;
 constexpr std::size_t kMostSuspects = 10;
 constexpr int kMostGroupsOut = 10;
 // Which loops contradict a trajectory does not take the last digits of it.
@@ -128,7 +127,7 @@ class Judge {
   // Through the wider kernel.
   bool IsWorthMore(const Explanation<Pose>& wider, const Explanation<Pose>& than) const {
     const double more = static_cast<double>(Explained(wider)) - static_cast<double>(Explained(than));
-    return ExplainsManyMore(wider, than) &&
+    return ExplainsManyMore(wider, than) && ExplainedGroups(wider) > ExplainedGroups(than) + kLeastGroups &&
            than.wide_cost - wider.wide_cost > kWorthOfWider * more * kWider * kWider * left_out_;
   }
   // Of groups what is not contradicted, where it costs as much as one loop left out: the worst first.
