@@ -23,8 +23,8 @@ constexpr double kDoubtfulShare = 0.01;
 constexpr double kChanceOfStrain = 0.05;
 // An explanation of so many times as many loops, in so many times as many groups, is better at any cost.
 constexpr double kManyMore = 1.05;
-// With so few loops, one through a kernel so many times as wide is looked at too. It has to explain so many groups more,
-// as a single one may be one mistake, and to cost less by such a share of what its loops count.
+// With so few loops, one through a kernel so many times as wide is looked at too. It has to explain so many groups
+// more, as a single one may be one mistake, and to cost less by such a share of what its loops count.
 constexpr std::size_t kFewLoops = 500;
 constexpr double kWider = 2, kLeastGroups = 1.5, kWorthOfWider = 0.25;
 // A group goes where others cost less without it, by the chi2 of so many loops left out or of such a part of its own;
@@ -175,7 +175,7 @@ class Judge {
   }
 
   const PoseGraph<Pose>& graph_;
-  std::vector<FactorId> loops_, counted_;  // ascending
+  std::vector<FactorId> loops_, counted_;         // ascending
   std::vector<std::vector<std::size_t>> groups_;  // of indices into loops_
   std::vector<double> share_of_group_;            // of each loop
   double left_out_, k_ = 0;

@@ -138,7 +138,9 @@ class StreetBuilder {
     // Tiles of twins are those below the middle, from where they are turned.
     const Point first = options_.twins ? Middle() : Point(0, 0);
     const double top = options_.twins ? first.y() - kTile / 2 : high_y + kReach;
-    const auto low = [&](double edge, double from) { return from + kTile * std::floor((edge - kReach - from) / kTile); };
+    const auto low = [&](double edge, double from) {
+      return from + kTile * std::floor((edge - kReach - from) / kTile);
+    };
     for (double x = low(low_x, first.x()); x < high_x + kReach; x += kTile) {
       for (double y = low(low_y, first.y()); y < top; y += kTile) {
         if (std::abs(path_.Nearest(x + kTile / 2, y + kTile / 2).left) > kReach) continue;
@@ -179,8 +181,7 @@ class StreetBuilder {
 
   template <class Add>
   void AddAlong(double spacing, double chance, const Add& add) {
-    for (double s = random_.Uniform(0, spacing); s < End() - spacing / 3;
-         s += spacing * random_.Uniform(0.7, 1.3)) {
+    for (double s = random_.Uniform(0, spacing); s < End() - spacing / 3; s += spacing * random_.Uniform(0.7, 1.3)) {
       if (random_.Chance(chance) && Blank(s) == 0) add(s);
     }
   }

@@ -119,8 +119,8 @@ struct StreetSequence::Data {
       : options(given),
         camera(MakeCamera(given)),
         path(MakePath(given)),
-        scene(path, {given.contrast, std::min(60.0, camera.fx / 12), given.featureless_stretches, given.seed,
-               given.twins}),
+        scene(path,
+              {given.contrast, std::min(60.0, camera.fx / 12), given.featureless_stretches, given.seed, given.twins}),
         noise(given.noise),
         T_first_street(CameraOnStreet(path, given, 0).Inverse()) {}
 

@@ -198,8 +198,7 @@ TEST_F(KittiCommandTest, LeavesOutPlacesThatLookAlike) {
   auto thresholds = JsonFile("defaults/thresholds.json");
   thresholds["range"] = {200, 200, 200, 3.2};
   Write("wide.json", thresholds.dump());
-  const Outcome outcome =
-      Succeed("kitti twins --thresholds wide.json --ground-truth twins/poses.txt --output map");
+  const Outcome outcome = Succeed("kitti twins --thresholds wide.json --ground-truth twins/poses.txt --output map");
   EXPECT_NE(outcome.err.find("all were judged together, and the map is made without the "), std::string::npos)
       << outcome.err;
   const auto stats = JsonFile("map/stats.json");

@@ -76,10 +76,8 @@ TEST(LookBack, PlacesThatLookAlikeAreFoundOut) {
   TwinDrive drive(RobustKernel::kGnc);
   drive.AddFrames(0, 180);
   long steps = 0;
-  const LookedBack back =
-      drive.slam.LookBack(drive.decisions, [&](const CompactPoseSlam<SE3>& map, const Decision&, double) {
-        EXPECT_EQ(map.PosesSeen(), ++steps);
-      });
+  const LookedBack back = drive.slam.LookBack(drive.decisions, [&](const CompactPoseSlam<SE3>& map, const Decision&,
+                                                                   double) { EXPECT_EQ(map.PosesSeen(), ++steps); });
   EXPECT_NE(back.why.find(" loops contradict the map"), std::string::npos) << back.why;
   ASSERT_EQ(back.decisions.size(), 180u);
   EXPECT_EQ(steps, 180);

@@ -95,9 +95,9 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   loops.Commit();
   if (const LookedBack& back = out.run.looked_back; !back.why.empty() && !options.quiet) {
     std::cerr << "terse: note: " << options.path << ": " << back.why << ": all were judged together, and "
-              << (back.wrong.empty() ? "none is left out for it"
-                                     : "the map is made without the " + std::to_string(back.wrong.size()) +
-                                           " that are wrong")
+              << (back.wrong.empty()
+                      ? "none is left out for it"
+                      : "the map is made without the " + std::to_string(back.wrong.size()) + " that are wrong")
               << '\n';
   }
   if (out.run.truth.size() > 1) out.errors = ComputeKittiErrors(out.run, sequence);

@@ -25,8 +25,7 @@ nlohmann::ordered_json LoopsJudgedJson(std::size_t loops, const std::vector<std:
                                        const std::vector<std::pair<PoseId, PoseId>>& wrong, double seconds) {
   nlohmann::ordered_json links = nlohmann::ordered_json::array();
   for (const auto& [from, to] : wrong) links.push_back({{"from", from.value}, {"to", to.value}});
-  return {
-      {"loops", loops}, {"reasons", reasons}, {"left_out", wrong.size()}, {"seconds", seconds}, {"links", links}};
+  return {{"loops", loops}, {"reasons", reasons}, {"left_out", wrong.size()}, {"seconds", seconds}, {"links", links}};
 }
 
 void AddTo(nlohmann::ordered_json& stats, const std::optional<ComposedCounts>& counts) {

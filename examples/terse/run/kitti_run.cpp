@@ -94,10 +94,8 @@ void DropForgotten(KittiRun& run) {
 void LookBack(KittiRun& run, const TruePoses* truth) {
   const double before = SecondsNow();
   StepRecorder<SE3> recorder(static_cast<int>(run.frames.size()), truth);
-  run.looked_back = run.slam.LookBack(
-      run.decisions, [&](const CompactPoseSlam<SE3>& map, const Decision& decision, double seconds) {
-        recorder.Add(map, decision, seconds);
-      });
+  run.looked_back = run.slam.LookBack(run.decisions, [&](const CompactPoseSlam<SE3>& map, const Decision& decision,
+                                                         double seconds) { recorder.Add(map, decision, seconds); });
   run.totals.look_back = 1000 * (SecondsNow() - before);
   if (run.looked_back.wrong.empty()) return;
   run.decisions = std::move(run.looked_back.decisions);

@@ -74,9 +74,9 @@ struct StereoSlamStep {
 
 // What came of judging all loops together.
 struct LookedBack {
-  std::string why;                                // they were judged; "": there was no reason to
-  std::vector<std::pair<PoseId, PoseId>> wrong;   // candidate and frame of those that are wrong
-  std::vector<Decision> decisions;                // where there are any: of all frames, in place of those before
+  std::string why;                               // they were judged; "": there was no reason to
+  std::vector<std::pair<PoseId, PoseId>> wrong;  // candidate and frame of those that are wrong
+  std::vector<Decision> decisions;               // where there are any: of all frames, in place of those before
 };
 
 class StereoSlam {
