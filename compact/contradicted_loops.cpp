@@ -27,8 +27,8 @@ constexpr double kManyMore = 1.05;
 // more, as a single one may be one mistake, and to cost less by such a share of what its loops count.
 constexpr std::size_t kFewLoops = 500;
 constexpr double kWider = 2, kLeastGroups = 1.5, kWorthOfWider = 0.25;
-// A group goes where others cost less without it, by the chi2 of so many loops left out or of such a part of its own;
-// those are looked at, the worst first, whose own chi2 is that of one.
+// A group goes where all costs less with it as a wrong one, by the chi2 of so many loops left out or of such a part of
+// its own; those are looked at, the worst first, whose own chi2 is larger by that of one than it should be.
 constexpr double kPriceOfGroup = 5, kPriceOfLoop = 0.75;
 constexpr std::size_t kMostSuspects = 10;
 constexpr int kMostGroupsOut = 10;
@@ -91,6 +91,7 @@ class Judge {
       scale = std::min(1.0, *middle / ChiSquareQuantile(0.5, Pose::kDof));
     }
     k_ = std::max(scale, kLeastScale) * ChiSquareQuantile(RobustOptions().quantile, Pose::kDof);
+    mean_ = std::max(scale, kLeastScale) * Pose::kDof;
   }
 
   Explanation<Pose> Weigh(std::vector<Pose> T_world_body) const {
@@ -130,16 +131,19 @@ class Judge {
     return ExplainsManyMore(wider, than) && ExplainedGroups(wider) > ExplainedGroups(than) + kLeastGroups &&
            than.wide_cost - wider.wide_cost > kWorthOfWider * more * kWider * kWider * left_out_;
   }
-  // Of groups what is not contradicted, where it costs as much as one loop left out: the worst first.
-  std::vector<std::vector<FactorId>> Suspects(const Explanation<Pose>& by) const {
+  // Of groups what is not contradicted nor taken out, where its chi2 is larger by that of a loop left out than as many
+  // true ones have: the worst first.
+  std::vector<std::vector<FactorId>> Suspects(const Explanation<Pose>& by,
+                                              const std::vector<FactorId>& taken_out) const {
     std::vector<std::pair<double, std::vector<FactorId>>> found;
     for (const auto& group : groups_) {
       double chi2 = 0;
       std::vector<FactorId> in;
       for (const std::size_t k : group) {
         if (std::binary_search(by.contradicted.begin(), by.contradicted.end(), loops_[k])) continue;
+        if (std::binary_search(taken_out.begin(), taken_out.end(), loops_[k])) continue;
         in.push_back(loops_[k]);
-        chi2 += Chi2Of(graph_.FindFactor(loops_[k])->factor, graph_, by.T_world_body);
+        chi2 += Chi2Of(graph_.FindFactor(loops_[k])->factor, graph_, by.T_world_body) - mean_;
       }
       if (chi2 >= left_out_) found.emplace_back(-chi2, std::move(in));
     }
@@ -149,7 +153,7 @@ class Judge {
     for (auto& suspect : found) out.push_back(std::move(suspect.second));
     return out;
   }
-  // By how much others cost less without a group of so many loops than it is worth; below zero: it stays.
+  // By how much all costs less without a group of so many loops than they are worth; below zero: it stays.
   double Relief(const Explanation<Pose>& with, const Explanation<Pose>& without, std::size_t loops) const {
     return with.cost - without.cost - std::max(kPriceOfGroup, kPriceOfLoop * static_cast<double>(loops)) * left_out_;
   }
@@ -178,29 +182,34 @@ class Judge {
   std::vector<FactorId> loops_, counted_;         // ascending
   std::vector<std::vector<std::size_t>> groups_;  // of indices into loops_
   std::vector<double> share_of_group_;            // of each loop
-  double left_out_, k_ = 0;
+  double left_out_, k_ = 0, mean_ = 0;            // of the chi2 of a true loop
 };
 
 // Wrong loops of one group agree with each other, and together hold what they bend.
 template <class Pose>
 Explanation<Pose> WithoutDearGroups(Explanation<Pose> best, const Judge<Pose>& judge, const PoseGraph<Pose>& graph,
                                     const BatchOptions& next_to) {
+  const auto solve_without = [&](const std::vector<FactorId>& without, const Explanation<Pose>& from) {
+    BatchOptions options = next_to;
+    options.robust_factors->clear();
+    std::set_difference(next_to.robust_factors->begin(), next_to.robust_factors->end(), without.begin(), without.end(),
+                        std::back_inserter(*options.robust_factors));
+    return judge.Weigh(SolveBatch(WithoutFactors(graph, without), from.T_world_body, options).T_world_body);
+  };
   std::vector<FactorId> out;
   for (int round = 0; round < kMostGroupsOut; ++round) {
+    const std::vector<std::vector<FactorId>> suspects = judge.Suspects(best, out);
+    if (suspects.empty()) break;
+    if (round == 0) best = solve_without({}, best);  // to its end, so that this is no one's merit
     double most = 0;
     std::optional<Explanation<Pose>> found;
     std::vector<FactorId> out_of_found;
-    for (const std::vector<FactorId>& group : judge.Suspects(best)) {
+    for (const std::vector<FactorId>& group : suspects) {
       std::vector<FactorId> without;
       std::set_union(out.begin(), out.end(), group.begin(), group.end(), std::back_inserter(without));
-      BatchOptions options = next_to;
-      options.robust_factors->clear();
-      std::set_difference(next_to.robust_factors->begin(), next_to.robust_factors->end(), without.begin(),
-                          without.end(), std::back_inserter(*options.robust_factors));
-      Explanation<Pose> other =
-          judge.Weigh(SolveBatch(WithoutFactors(graph, without), best.T_world_body, options).T_world_body);
+      Explanation<Pose> other = solve_without(without, best);
       const double relief = judge.Relief(best, other, group.size());
-      if (relief <= most) continue;
+      if (!(relief > most)) continue;
       most = relief;
       found = std::move(other);
       out_of_found = std::move(without);
@@ -254,7 +263,7 @@ Explanation<Pose> BestExplanation(const PoseGraph<Pose>& graph, const std::vecto
     BatchOptions wider = options;
     wider.robust.width = kWider * solved.robust_width;
     Explanation<Pose> other = judge.Weigh(SolveBatch(graph, wider).T_world_body);
-    if (judge.IsWorthMore(other, best)) best = std::move(other);
+    if (judge.IsWorthMore(other, best)) return other;  // at the optimum of another kernel
   }
   return WithoutDearGroups(std::move(best), judge, graph, next_to);
 }

@@ -138,7 +138,7 @@ void StereoSlam::NoteOdometry(PoseId id, const std::optional<RelativePoseFactor<
 }
 
 void StereoSlam::NoteMeasured(const StereoSlamStep& step, const std::optional<RelativePoseFactor<SE3>>& odometry) {
-  if (map_.Options().most_dropped) return;
+  if (!MayLookBack()) return;
   measured_.AddPose(step.id);
   if (odometry) measured_.AddFactor(*odometry);
   for (const LoopAttempt& a : step.attempts) {
@@ -147,15 +147,25 @@ void StereoSlam::NoteMeasured(const StereoSlamStep& step, const std::optional<Re
   }
 }
 
+bool StereoSlam::MayLookBack() const {
+  return map_.Options().solver.robust.kernel == RobustKernel::kGnc && !map_.Options().most_dropped;
+}
+
 LookedBack StereoSlam::LookBack(const std::vector<Decision>& decisions, const AfterStep<SE3>& after_step) {
   LookedBack out;
+  if (!MayLookBack() || measured_.Poses().size() != static_cast<std::size_t>(map_.PosesSeen())) return out;
   const std::vector<FactorId> loops = LoopFactors(measured_);
   if (loops.empty()) return out;
   long refused = 0;
   for (const Decision& decision : decisions) refused += decision.links_refused;
   for (const FactorId id : LoopFactors(map_.Solver().Graph())) refused += map_.Solver().WeightOf(id) == 0;
-  LoopJury<SE3> jury(measured_, {}, map_.Options().solver.robust);
-  jury.on_judging = [&](const std::string& why) { out.why = why; };
+  BatchOptions batch;
+  batch.log = options_.log;
+  LoopJury<SE3> jury(measured_, {}, map_.Options().solver.robust, batch);
+  jury.on_judging = [&](const std::string& why) {
+    out.why = why;
+    internal::Log(options_.log, LogLevel::kInfo, why, ": all are judged together");
+  };
   if (!jury.JudgeBy(map_, decisions, static_cast<long>(loops.size()), refused)) return out;
   CompactPoseSlam<SE3> again(map_.Options());
   out.decisions = AddPoses<SE3>(again, GraphReplay<SE3>(jury.Remaining()), [&](const Decision& decision, double s) {

@@ -174,18 +174,26 @@ class Search {
 
   int Places() const { return CountPlaces(witnesses_); }
 
-  // As far as a robot can have gone from one pose to the next.
-  double FarthestStep(std::optional<FactorId> but) const {
-    double longest = 0;
-    for (const auto& node : map_.Graph().Factors()) {
-      const std::optional<Span<Pose>> span = SpanOf(node.id);
-      if (!span || span->last - span->first != 1 || node.id == but || map_.SlotOf(node.id) < 0) continue;
-      longest = std::max(longest, span->T_first_last.Translation().norm());
+  // Whether a robot cannot have gone so far from one pose to the next.
+  bool IsJump(const Pose& step) const {
+    if (!farthest_) {
+      const std::vector<FactorId> in = loops_.in();
+      double longest = 0;
+      for (const auto& node : map_.Graph().Factors()) {
+        const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
+        if (edge == nullptr || map_.SlotOf(node.id) < 0) continue;
+        const int apart = std::abs(map_.Graph().IndexOf(edge->from) - map_.Graph().IndexOf(edge->to));
+        if (apart == 1 && !std::binary_search(in.begin(), in.end(), node.id)) {
+          longest = std::max(longest, edge->T_from_to.Translation().norm());
+        }
+      }
+      farthest_ = longest > 0 ? kMostSteps * longest : std::numeric_limits<double>::infinity();
     }
-    return longest > 0 ? kMostSteps * longest : std::numeric_limits<double>::infinity();
+    return step.Translation().norm() > *farthest_;
   }
 
-  // The odometry edge that the fewest loops defend; of these the one that would have to be the least wrong.
+  // The odometry edge that the fewest loops defend; of these the one that would have to be the least wrong. One across
+  // which the robot would have jumped only if there is no other: then a group may be at fault.
   std::optional<Slip<Pose>> Blame() const {
     const std::vector<FactorId> in = loops_.in();
     const auto is_in = [&](int slot) { return std::binary_search(in.begin(), in.end(), map_.IdAt(slot)); };
@@ -200,19 +208,19 @@ class Search {
     }
     double least = std::numeric_limits<double>::infinity();
     int fewest = std::numeric_limits<int>::max(), at = -1, open = 0;
+    bool is_jump = true;
     std::optional<FactorId> blamed;
-    const double farthest = FarthestStep(std::nullopt);
     for (int v = first_; v < last_; ++v) {
       open += defenders[At(v - first_)];
-      if (open > fewest) continue;
-      const Pose step = map_.EstimateAt(v).Inverse() * correction_ * map_.EstimateAt(v + 1);
-      if (step.Translation().norm() > farthest) continue;
+      const bool jumps = IsJump(map_.EstimateAt(v).Inverse() * correction_ * map_.EstimateAt(v + 1));
+      const bool is_first = is_jump && !jumps;  // that it did not jump across
+      if (jumps > is_jump || (open > fewest && !is_first)) continue;
       const int slot = OdometrySlot(v, is_in, map_);
       if (slot < 0) continue;
       const FactorId odometry = map_.IdAt(slot);
       const double wrong = Chi2(odometry, map_.EstimateAt(v), correction_ * map_.EstimateAt(v + 1));
-      if (open == fewest && wrong >= least) continue;
-      fewest = open, least = wrong, at = v, blamed = odometry;
+      if (open == fewest && wrong >= least && !is_first) continue;
+      fewest = open, least = wrong, at = v, blamed = odometry, is_jump = jumps;
     }
     if (!blamed || fewest + kSlipPrice >= static_cast<double>(witnesses_.size())) return std::nullopt;
     Slip<Pose> slip{*blamed, {}, {}, map_.Estimates()};
@@ -290,22 +298,25 @@ class Search {
 
  public:
   // A group of loops at one side is one mistake as well, and is blamed instead if that costs no more: as much as a slip
-  // at most, however many they are.
+  // at most, however many they are. A jump is no slip.
   std::optional<Slip<Pose>> Verified(const Slip<Pose>& slip) const {
     const Optimum alone = Solved(slip);
-    if (!(alone.cost < Cost(map_.Estimates(), FactorId()))) return std::nullopt;
+    const double cost_now = Cost(map_.Estimates(), FactorId());
+    if (!(alone.cost < cost_now)) return std::nullopt;
     const FactorPoses ends = PosesOf(map_.Graph().FindFactor(*slip.odometry)->factor);
     const int v = std::min(map_.Graph().IndexOf(ends.first), map_.Graph().IndexOf(ends.second));
-    const Pose step = alone.T_world_body[At(v)].Inverse() * alone.T_world_body[At(v) + 1];
-    if (step.Translation().norm() > FarthestStep(slip.odometry)) return std::nullopt;
+    const bool jumps = IsJump(alone.T_world_body[At(v)].Inverse() * alone.T_world_body[At(v) + 1]);
     std::vector<Span<Pose>> in;
     for (const FactorId id : loops_.in()) {
       const bool stays = std::find(slip.goes.begin(), slip.goes.end(), id) == slip.goes.end();
       if (const auto span = SpanOf(id); span && stays) in.push_back(*span);
     }
-    double lowest = alone.cost;
-    Slip<Pose> best = slip;
-    best.T_world_body = alone.T_world_body;
+    double lowest = jumps ? cost_now : alone.cost;
+    std::optional<Slip<Pose>> best;
+    if (!jumps) {
+      best = slip;
+      best->T_world_body = alone.T_world_body;
+    }
     for (const bool before : {true, false}) {
       const std::vector<FactorId> group = GroupAt(v, before, in);
       if (group.empty()) continue;
@@ -320,10 +331,10 @@ class Search {
         counted += std::min(Chi2At(map_.Graph().FindFactor(id)->factor, without.T_world_body), k_);
       }
       const double cost = without.cost - std::max(0.0, counted - kSlipPrice * k_);
-      if (cost > lowest) continue;
+      if (best ? cost > lowest : cost >= lowest) continue;
       lowest = cost;
       best = other;
-      best.T_world_body = without.T_world_body;
+      best->T_world_body = without.T_world_body;
     }
     return best;
   }
@@ -332,7 +343,8 @@ class Search {
   const KnownLoops& loops_;
   double k_;
   const LinearizedGraph<Pose>& map_;
-  Pose correction_;  // of what comes after the slip
+  Pose correction_;                         // of what comes after the slip
+  mutable std::optional<double> farthest_;  // that a robot goes in one step
   std::vector<Span<Pose>> witnesses_;
   int first_ = 0, last_ = 0;  // poses between which all of them say that it is
 };

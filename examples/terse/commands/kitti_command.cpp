@@ -93,6 +93,10 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.after_step = [&](const StereoSlamStep& step) { loops.Add(step); };
   Outcome out{RunKitti(sequence, frames, how), std::nullopt};
   loops.Commit();
+  if (!out.run.look_back_failure.empty()) {
+    std::cerr << "terse: warning: " << options.path
+              << ": loops could not be judged together: " << out.run.look_back_failure << '\n';
+  }
   if (const LookedBack& back = out.run.looked_back; !back.why.empty() && !options.quiet) {
     std::cerr << "terse: note: " << options.path << ": " << back.why << ": all were judged together, and "
               << (back.wrong.empty()
@@ -156,8 +160,8 @@ void AddKittiCommand(CLI::App& app) {
   AddRememberOption(
       *command, options->remember,
       "Dropped poses that are remembered: so many of the newest, and those on the chains of others; older "
-      "ones are left out of the trajectory and of the files with a row per pose, and memory grows with "
-      "the map alone")
+      "ones are left out of the trajectory and of the files with a row per pose, loops are not judged together at the "
+      "end, and memory grows with the map alone")
       .capture_default_str();
   command->add_option("--frames", options->frames, "Only frames A, A + 1 ... B - 1; either may be left out")
       ->check(

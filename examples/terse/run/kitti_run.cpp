@@ -94,8 +94,14 @@ void DropForgotten(KittiRun& run) {
 void LookBack(KittiRun& run, const TruePoses* truth) {
   const double before = SecondsNow();
   StepRecorder<SE3> recorder(static_cast<int>(run.frames.size()), truth);
-  run.looked_back = run.slam.LookBack(run.decisions, [&](const CompactPoseSlam<SE3>& map, const Decision& decision,
-                                                         double seconds) { recorder.Add(map, decision, seconds); });
+  const auto record = [&](const CompactPoseSlam<SE3>& map, const Decision& decision, double seconds) {
+    recorder.Add(map, decision, seconds);
+  };
+  try {
+    run.looked_back = run.slam.LookBack(run.decisions, record);
+  } catch (const std::exception& error) {  // the run stands without
+    run.look_back_failure = error.what();
+  }
   run.totals.look_back = 1000 * (SecondsNow() - before);
   if (run.looked_back.wrong.empty()) return;
   run.decisions = std::move(run.looked_back.decisions);
@@ -115,7 +121,7 @@ KittiRun RunKitti(const KittiSequence& sequence, const std::vector<int>& frames,
     search = MakeSearch(sequence, frames, options);
     vocabulary = SecondsNow() - before;
   }
-  KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}, {}, {}, {}, {}, {}};
+  KittiRun run{StereoSlam(sequence.Camera(), options.slam, std::move(search)), {}, {}, {}, {}, {}, {}, {}, {}, {}, {}};
   const TruePoses truth = TrueLeftPoses(sequence, frames, options.truth);
   StepRecorder<SE3> recorder(static_cast<int>(frames.size()), truth.empty() ? nullptr : &truth);
   long forgotten = 0;

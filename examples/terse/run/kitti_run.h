@@ -47,7 +47,8 @@ struct KittiRun {
   std::vector<Decision> decisions;
   std::vector<CompactStep> steps;
   std::vector<OddFrame> odd;
-  LookedBack looked_back;  // its decisions are above
+  LookedBack looked_back;         // its decisions are above
+  std::string look_back_failure;  // why there is none
   std::vector<RetiredPose> retired_at_end;
   BatchResult<SE3> result;  // of the map
 };

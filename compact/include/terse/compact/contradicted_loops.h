@@ -39,9 +39,9 @@ std::string WhyLoopsAreInDoubt(const PoseGraph<Pose>& graph);
 // chi2 than the best before it, of a loop no more than one true one in a hundred exceeds, and to contradict no more
 // loops or to explain one in twenty more of the groups that they are (loop_groups.h); or to explain both one loop and
 // one group in twenty more. Of up to 500 loops, that of the whole by a kernel twice as wide is a last one, which has to
-// do the latter, of two groups or more, and to save a quarter of what these loops count as that kernel has it. From the
-// best one groups are taken out without which others have less chi2 by that of five loops left out, and by three
-// quarters of that of each of its own. `first`: values by pose index, such as those of a first map, or
+// do the latter, of one and a half groups at least, and to save a quarter of what these loops count as that kernel has
+// it. Out of any other best one groups are taken that, counted as wrong, make its chi2 less by that of five loops left
+// out, and of three quarters of their own. `first`: values by pose index, such as those of a first map, or
 // none. `options.robust`: of the map's solver, with kGnc; its quantile is not looked at. Throws std::invalid_argument
 // as SolveBatch does.
 template <class Pose>

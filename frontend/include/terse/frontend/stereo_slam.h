@@ -95,9 +95,11 @@ class StereoSlam {
 
   // Where the map refuses many of the verified loops, leaves them out by its kernel, or was bent by one that no other
   // bears out, all are judged together (LoopJury), and if some are wrong the map is made anew of what was measured
-  // without them: `decisions` are those that AddFrame returned, `after_step` hears of every frame again. Nothing with a
-  // kernel other than kGnc, or where frames are forgotten (CompactOptions::most_dropped), for that takes what was
-  // measured of all. Throws as AddFrame does for the map; it is as before then.
+  // without them: `decisions` are those that AddFrame returned, `after_step` hears of every frame again. At the end of
+  // a run: of poses that only the new map keeps there are no features. Nothing with a kernel other than kGnc, or where
+  // frames are forgotten (CompactOptions::most_dropped) or AddFrame threw for one that the map has, for it takes what
+  // was measured of all. Frames are to have come by ascending index. Throws as AddFrame does for the map, which is as
+  // before then.
   LookedBack LookBack(const std::vector<Decision>& decisions, const AfterStep<SE3>& after_step = nullptr);
   // Poses retire as at the end of a run (CompactPoseSlam::Retire), and their features go.
   std::vector<RetiredPose> Retire();
@@ -115,6 +117,7 @@ class StereoSlam {
   void StoreFeatures(PoseId id);
   void DropFeatures(const std::vector<RetiredPose>& retired);
   void NoteOdometry(PoseId id, const std::optional<RelativePoseFactor<SE3>>& measured);
+  bool MayLookBack() const;
   void NoteMeasured(const StereoSlamStep& step, const std::optional<RelativePoseFactor<SE3>>& odometry);
 
   StereoSlamOptions options_;
