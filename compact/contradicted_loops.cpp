@@ -150,6 +150,7 @@ class Judge {
     std::sort(found.begin(), found.end());
     if (found.size() > kMostSuspects) found.resize(kMostSuspects);
     std::vector<std::vector<FactorId>> out;
+    out.reserve(found.size());
     for (auto& suspect : found) out.push_back(std::move(suspect.second));
     return out;
   }
