@@ -27,7 +27,7 @@ constexpr size_t kMostInVain = 8;
 constexpr double kTolerance = 1e-6;  // of costs that are compared
 // A robot does not jump. Where loops have it move farther from one pose to the next, in steps as odometry has the
 // longest, it is two places that look alike that they take for one, however many they are.
-constexpr double kMostSteps = 10;
+constexpr double kMostSteps = 10, kMostDeviations = 3;
 // With wrong loops among those that are in, a solver creeps; what it is worth shows long before.
 constexpr int kMostIterations = 20;
 
@@ -174,26 +174,42 @@ class Search {
 
   int Places() const { return CountPlaces(witnesses_); }
 
-  // Whether a robot cannot have gone so far from one pose to the next.
-  bool IsJump(const Pose& step) const {
-    if (!farthest_) {
-      const std::vector<FactorId> in = loops_.in();
-      double longest = 0;
-      for (const auto& node : map_.Graph().Factors()) {
-        const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
-        if (edge == nullptr || map_.SlotOf(node.id) < 0) continue;
-        const int apart = std::abs(map_.Graph().IndexOf(edge->from) - map_.Graph().IndexOf(edge->to));
-        if (apart == 1 && !std::binary_search(in.begin(), in.end(), node.id)) {
-          longest = std::max(longest, edge->T_from_to.Translation().norm());
-        }
+  // As far as a robot can have gone from one pose to the next.
+  double FarthestStep() const {
+    if (farthest_) return *farthest_;
+    const std::vector<FactorId> in = loops_.in();
+    double longest = 0;
+    for (const auto& node : map_.Graph().Factors()) {
+      const auto* edge = std::get_if<RelativePoseFactor<Pose>>(&node.factor);
+      if (edge == nullptr || map_.SlotOf(node.id) < 0) continue;
+      const int apart = std::abs(map_.Graph().IndexOf(edge->from) - map_.Graph().IndexOf(edge->to));
+      if (apart == 1 && !std::binary_search(in.begin(), in.end(), node.id)) {
+        longest = std::max(longest, edge->T_from_to.Translation().norm());
       }
-      farthest_ = longest > 0 ? kMostSteps * longest : std::numeric_limits<double>::infinity();
     }
-    return step.Translation().norm() > *farthest_;
+    farthest_ = longest > 0 ? kMostSteps * longest : std::numeric_limits<double>::infinity();
+    return *farthest_;
+  }
+  // By how much the step from pose v that a loop across it says may be too long: the ways to its ends have drifted.
+  double DriftAt(int v, const Pose& step, const Span<Pose>& across) const {
+    const auto seen_from = [](const Pose& T, const Covariance& covariance) -> Covariance {
+      return T.Adjoint() * covariance * T.Adjoint().transpose();
+    };
+    const Pose T_next_last = map_.EstimateAt(v + 1).Inverse() * map_.EstimateAt(across.last);
+    const Covariance covariance = seen_from(step.Inverse(), CovarianceOf(across.first, v)) +
+                                  seen_from(T_next_last, CovarianceOf(v + 1, across.last) + CovarianceOf(across));
+    return kMostDeviations * std::sqrt(covariance.template topLeftCorner<Pose::kDim, Pose::kDim>().trace());
+  }
+  bool IsJump(int v, const Pose& step, const std::vector<FactorId>& loops) const {
+    const double length = step.Translation().norm();
+    if (length <= FarthestStep()) return false;
+    const std::optional<Span<Pose>> across = loops.empty() ? std::nullopt : SpanOf(loops.front());
+    const bool crosses = across && across->first <= v && v < across->last;
+    return length > FarthestStep() + (crosses ? DriftAt(v, step, *across) : 0);
   }
 
   // The odometry edge that the fewest loops defend; of these the one that would have to be the least wrong. One across
-  // which the robot would have jumped only if there is no other: then a group may be at fault.
+  // which the robot seems to have jumped only if there is no other: drift may say so, or a group be at fault.
   std::optional<Slip<Pose>> Blame() const {
     const std::vector<FactorId> in = loops_.in();
     const auto is_in = [&](int slot) { return std::binary_search(in.begin(), in.end(), map_.IdAt(slot)); };
@@ -212,7 +228,8 @@ class Search {
     std::optional<FactorId> blamed;
     for (int v = first_; v < last_; ++v) {
       open += defenders[At(v - first_)];
-      const bool jumps = IsJump(map_.EstimateAt(v).Inverse() * correction_ * map_.EstimateAt(v + 1));
+      const Pose step = map_.EstimateAt(v).Inverse() * correction_ * map_.EstimateAt(v + 1);
+      const bool jumps = step.Translation().norm() > FarthestStep();
       const bool is_first = is_jump && !jumps;  // that it did not jump across
       if (jumps > is_jump || (open > fewest && !is_first)) continue;
       const int slot = OdometrySlot(v, is_in, map_);
@@ -305,7 +322,7 @@ class Search {
     if (!(alone.cost < cost_now)) return std::nullopt;
     const FactorPoses ends = PosesOf(map_.Graph().FindFactor(*slip.odometry)->factor);
     const int v = std::min(map_.Graph().IndexOf(ends.first), map_.Graph().IndexOf(ends.second));
-    const bool jumps = IsJump(alone.T_world_body[At(v)].Inverse() * alone.T_world_body[At(v) + 1]);
+    const bool jumps = IsJump(v, alone.T_world_body[At(v)].Inverse() * alone.T_world_body[At(v) + 1], slip.comes);
     std::vector<Span<Pose>> in;
     for (const FactorId id : loops_.in()) {
       const bool stays = std::find(slip.goes.begin(), slip.goes.end(), id) == slip.goes.end();
