@@ -5,8 +5,8 @@
 // closes. If loops from different places say the same, one odometry edge that all of them cross explains what is
 // otherwise as many wrong loops. No covariance is asked, for none describes a slip; both explanations are compared by
 // truncated least squares at their optima, where an odometry edge that is left out costs as much as kSlipPrice loops.
-// The robot did not jump there: what loops say of that step is no longer than ten of the longest that odometry
-// measured. Two places that look alike agree on a jump in as many loops as one likes.
+// The robot did not jump there: what loops say of that step is, but for drift, no longer than ten of the longest that
+// odometry measured. Two places that look alike agree on a jump in as many loops as one likes.
 
 #include <functional>
 #include <optional>
