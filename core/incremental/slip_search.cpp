@@ -228,6 +228,7 @@ class Search {
     std::optional<FactorId> blamed;
     for (int v = first_; v < last_; ++v) {
       open += defenders[At(v - first_)];
+      if (open > fewest && !is_jump) continue;
       const Pose step = map_.EstimateAt(v).Inverse() * correction_ * map_.EstimateAt(v + 1);
       const bool jumps = step.Translation().norm() > FarthestStep();
       const bool is_first = is_jump && !jumps;  // that it did not jump across

@@ -93,7 +93,7 @@ Outcome RunOnce(const KittiSequence& sequence, const std::vector<int>& frames, c
   how.after_step = [&](const StereoSlamStep& step) { loops.Add(step); };
   Outcome out{RunKitti(sequence, frames, how), std::nullopt};
   loops.Commit();
-  if (!out.run.look_back_failure.empty()) {
+  if (!out.run.look_back_failure.empty() && !options.quiet) {
     std::cerr << "terse: warning: " << options.path
               << ": loops could not be judged together: " << out.run.look_back_failure << '\n';
   }

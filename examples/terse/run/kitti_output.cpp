@@ -212,7 +212,7 @@ void PrintSearchComparison(const KittiRun& information, const std::optional<Kitt
     if (errors) std::snprintf(ate, sizeof(ate), "%.3f", errors->map.ate.translation_m);
     std::snprintf(line, sizeof(line), "%-14s %6zu  %10ld  %8ld  %8ld  %5d  %14.2f  %12.2f  %16.2f  %7s\n", name,
                   run.slam.Map().Solver().Graph().Poses().size(), t.candidates, t.compared, t.verified,
-                  run.slam.Map().LinksKept(), (t.times.search + t.times.map + t.vocabulary) / 1000,
+                  run.slam.Map().LinksKept(), (t.times.search + t.times.map + t.look_back + t.vocabulary) / 1000,
                   t.times.features / 1000, t.times.verification / 1000, ate);
     std::cout << line;
   };
