@@ -579,6 +579,21 @@ TEST(Robust, AGivenWidthStays) {
   EXPECT_EQ(SolveBatch(scene.graph, options).robust_width, 2.5);
 }
 
+// One that crawls does not begin anew with other weights (750 iterations of 15 000 poses).
+TEST(Robust, ADescentThatDoesNotConvergeIsTheLast) {
+  const auto scene = MakeScene<SE2>(3, 0.3);
+  const auto start = ComputeInitialValues(scene.graph, InitialValues::kCompose);
+  BatchOptions options = With(RobustKernel::kGnc);
+  options.graduate = false;
+  options.relative_tolerance = 1e-15;
+  const int needed = SolveBatch(scene.graph, start, options).iterations;
+  ASSERT_GT(needed, 2);
+  options.max_iterations = 1;
+  const auto stopped = SolveBatch(scene.graph, start, options);
+  EXPECT_EQ(stopped.iterations, 1);
+  EXPECT_EQ(stopped.termination, Termination::kMaxIterations);
+}
+
 // 30 % wrong loops on a public graph: the clean optimum stays where it is, online too.
 TEST(Robust, ManhattanWithWrongLoops) {
   TERSE_NEEDS(path, "graphs/2d/manhattan.g2o");

@@ -178,6 +178,7 @@ class Run {
       if (!MayGoOn()) break;
       done_ = false;
       Descend(options_.max_iterations);
+      if (!result_.Converged()) break;  // crawling
     }
     done_ = true;
   }
@@ -322,7 +323,7 @@ class Run {
   static constexpr int kClimb = 4;
   // Of the graduation, and how often the loops are told apart at most.
   static constexpr int kStageSteps = 2, kMostRounds = 20;
-  static constexpr double kStageTolerance = 1e-3;
+  static constexpr double kStageTolerance = 1e-2;
   static constexpr double kRounding = 1e-12;  // of the cost: what a difference of two costs does not tell
 
   const PoseGraph<Pose>& graph_;
