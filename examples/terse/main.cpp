@@ -1,7 +1,6 @@
 // The terse command. Exit codes: 0 done, 1 bad input, 2 usage, 3 numerical failure, 130 interrupted.
 
 #include <fcntl.h>
-#include <malloc.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -16,6 +15,7 @@
 #include "commands/stereo_program.h"
 #include "run/standard_output.h"
 #include "terse/core/atomic_file.h"
+#include "terse/core/freed_memory.h"
 
 namespace {
 
@@ -56,14 +56,6 @@ std::string DescribeUnknown(CLI::App& app) {
   return kind + mistyped + (nearest.empty() ? "" : "; did you mean " + nearest + "?");
 }
 
-// What is freed stays for what comes next: solving takes memory again and again, which the system clears each time.
-void KeepFreedMemory() {
-#ifdef M_MMAP_THRESHOLD
-  mallopt(M_MMAP_THRESHOLD, 32 << 20);  // the most that is taken
-  mallopt(M_TRIM_THRESHOLD, 256 << 20);
-#endif
-}
-
 int Run(int argc, char** argv) {
   CLI::App app("Compact pose SLAM: pose graphs that keep only what carries information.", "terse");
   app.set_version_flag("--version", "terse " TERSE_VERSION);
@@ -88,7 +80,7 @@ int Run(int argc, char** argv) {
   terse::AddPlotCommand(app);
   terse::AddReferenceOptions(app);
   for (CLI::App* command : app.get_subcommands({})) {  // but for one that goes on for days beside others
-    if (command->get_name() != "online") command->preparse_callback([](std::size_t) { KeepFreedMemory(); });
+    if (command->get_name() != "online") command->preparse_callback([](std::size_t) { terse::KeepFreedMemory(); });
   }
   try {
     app.parse(argc, argv);
