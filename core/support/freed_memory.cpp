@@ -4,6 +4,7 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 
@@ -19,8 +20,8 @@ void TakeHeapInLargePages(std::uintptr_t bytes) {
   void* const piece = std::malloc(std::size_t{1} << 20);  // more than there is, so that the heap grows
   const auto begin = reinterpret_cast<std::uintptr_t>(piece), end = reinterpret_cast<std::uintptr_t>(sbrk(0));
   if (piece != nullptr && begin < end && end - begin >= bytes && end - begin < 2 * bytes) {
-    const std::uintptr_t first = (begin + kLargePage - 1) / kLargePage * kLargePage;
-    madvise(reinterpret_cast<void*>(first), end - first, MADV_HUGEPAGE);
+    const std::uintptr_t before = (kLargePage - begin % kLargePage) % kLargePage;
+    madvise(static_cast<char*>(piece) + before, end - begin - before, MADV_HUGEPAGE);
   }
   std::free(piece);
   mallopt(M_TOP_PAD, 1 << 20);
