@@ -2,6 +2,7 @@
 
 #include <malloc.h>
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <cstddef>
@@ -13,8 +14,10 @@ namespace terse {
 #if defined(M_MMAP_THRESHOLD) && defined(MADV_HUGEPAGE)
 namespace {
 
-// Address space alone, until it is used. Where there is not so much nothing happens.
+// Address space alone, until it is used. Where that is limited it is left to what needs it.
 void TakeHeapInLargePages(std::uintptr_t bytes) {
+  rlimit limit{};
+  if (getrlimit(RLIMIT_AS, &limit) != 0 || limit.rlim_cur / 16 < bytes) return;
   constexpr std::uintptr_t kLargePage = std::uintptr_t{1} << 21;
   mallopt(M_TOP_PAD, static_cast<int>(bytes));
   void* const piece = std::malloc(std::size_t{1} << 20);  // more than there is, so that the heap grows
