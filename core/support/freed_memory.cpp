@@ -3,7 +3,6 @@
 #include <malloc.h>
 #include <sys/mman.h>
 #include <sys/resource.h>
-#include <unistd.h>
 
 #include <cstddef>
 #include <cstdint>
@@ -15,19 +14,17 @@ namespace terse {
 namespace {
 
 // Address space alone, until it is used. Where that is limited it is left to what needs it.
-void TakeHeapInLargePages(std::uintptr_t bytes) {
+void TakeHeapInLargePages(std::size_t bytes) {
+  constexpr std::size_t kLargePage = std::size_t{1} << 21;
   rlimit limit{};
   if (getrlimit(RLIMIT_AS, &limit) != 0 || limit.rlim_cur / 16 < bytes) return;
-  constexpr std::uintptr_t kLargePage = std::uintptr_t{1} << 21;
-  mallopt(M_TOP_PAD, static_cast<int>(bytes));
-  void* const piece = std::malloc(std::size_t{1} << 20);  // more than there is, so that the heap grows
-  const auto begin = reinterpret_cast<std::uintptr_t>(piece), end = reinterpret_cast<std::uintptr_t>(sbrk(0));
-  if (piece != nullptr && begin < end && end - begin >= bytes && end - begin < 2 * bytes) {
-    const std::uintptr_t before = (kLargePage - begin % kLargePage) % kLargePage;
-    madvise(static_cast<char*>(piece) + before, end - begin - before, MADV_HUGEPAGE);
+  if (mallopt(M_MMAP_MAX, 0) == 0) return;  // the next piece is of the heap; another allocator says no
+  if (void* const piece = std::malloc(bytes)) {
+    const std::size_t before = kLargePage - reinterpret_cast<std::uintptr_t>(piece) % kLargePage;
+    madvise(static_cast<char*>(piece) + before, bytes - before, MADV_HUGEPAGE);
+    std::free(piece);
   }
-  std::free(piece);
-  mallopt(M_TOP_PAD, 1 << 20);
+  mallopt(M_MMAP_MAX, 65536);  // glibc's own
 }
 
 }  // namespace
@@ -38,7 +35,7 @@ void KeepFreedMemory() {
   mallopt(M_MMAP_THRESHOLD, 32 << 20);  // the most that is taken
   mallopt(M_TRIM_THRESHOLD, 256 << 20);
 #ifdef MADV_HUGEPAGE
-  TakeHeapInLargePages(std::uintptr_t{192} << 20);
+  TakeHeapInLargePages(std::size_t{192} << 20);
 #endif
 #endif
 }
